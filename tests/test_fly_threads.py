@@ -15,7 +15,10 @@ import multiprocessing.pool
 import queue
 import re
 import sched
+import select
+import selectors
 import socket
+import socketserver
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -31,7 +34,7 @@ from uavaccel.clock import VirtualClock, time_module
 from uavaccel.fly.modules import Patches
 from uavaccel.fly.script import FlightOver
 from uavaccel.fly.simulated import READING_NS
-from uavaccel.fly.threads import SharedModules, ThreadModules
+from uavaccel.fly.threads import OutsideEvents, SharedModules, ThreadModules
 from uavaccel.fly.turns import Turns
 from uavaccel.units import NS_PER_S
 
@@ -52,6 +55,7 @@ class Script:
 
     def __init__(self, modules: dict[str, Any], sleep: Callable[[float], None], now_s: Callable[[], float]) -> None:
         self.threading, self.queue, self.thread = (modules[name] for name in ("threading", "queue", "_thread"))
+        self.select, self.selectors = modules["select"], modules["selectors"]
         self.sleep, self.now_s = sleep, now_s
         self.said: list[Any] = []
         self.shared = SimpleNamespace(pool=multiprocessing.pool.ThreadPool, dummy=multiprocessing.dummy)
@@ -441,6 +445,41 @@ def sockets(s: Script) -> None:
 
 
 @program
+def selects(s: Script) -> None:
+    """Who waits until one of several files has data leaves the others their turns, too."""
+    poll, selector = s.select.poll(), s.selectors.DefaultSelector()
+    with socket.socket(type=socket.SOCK_DGRAM) as receiver, socket.socket(type=socket.SOCK_DGRAM) as sender:
+        receiver.bind(("127.0.0.1", 0))
+        sender.connect(receiver.getsockname())
+        poll.register(receiver, select.POLLIN)
+        selector.register(receiver, selectors.EVENT_READ)
+        within = partial(s.select.select, [receiver], [], [])
+        for wait in (within, poll.poll, selector.select):
+            for timeout in (0, 0.01, LATER_S, None):
+                [thread] = s.start(lambda: (s.units(1), sender.send(b"ping"))) if timeout in (None, LATER_S) else [None]
+                s.say(any(wait(*() if timeout is None else (timeout,))))
+                if thread is not None:
+                    s.say(receiver.recv(9))
+                    thread.join()
+
+
+@program
+def servers(s: Script) -> None:
+    class Handler(socketserver.StreamRequestHandler):
+        def handle(self) -> None:
+            s.say(self.rfile.readline())
+
+    with socketserver.TCPServer(("127.0.0.1", 0), Handler) as server:
+        [thread] = s.start(server.serve_forever)
+        s.units(1)
+        with socket.create_connection(server.socket.getsockname()) as connection:
+            connection.sendall(b"ping\n")
+            s.say(connection.recv(9))
+        server.shutdown()
+        thread.join()
+
+
+@program
 def schedulers(s: Script) -> None:
     for scheduler in (sched.scheduler(), sched.scheduler(s.now_s, s.sleep)):
         scheduler.enter(3 * UNIT_S, 1, s.say, ("second",))
@@ -456,7 +495,8 @@ def schedulers(s: Script) -> None:
 @pytest.fixture(scope="module")
 def on_pythons_threads() -> dict[str, list[Any]]:
     """What the programs say on Python's own threads, all at the same time."""
-    modules = {"threading": threading, "queue": queue, "_thread": _thread}
+    own = (threading, queue, _thread, select, selectors)
+    modules = {module.__name__: module for module in own}
 
     def run(each: Program) -> list[Any]:
         script = Script(modules, time.sleep, time.monotonic)
@@ -483,8 +523,9 @@ def script() -> Iterator[Any]:
 
     with Patches() as patches:
         own_time: Any = time_module(read_ns, sleep)
-        SharedModules(patches, turns, modules, own_time)
-        made: Any = Script(modules.in_scripts(), sleep, own_time.monotonic)
+        outside = OutsideEvents(turns, own_time)
+        SharedModules(patches, turns, modules, outside, own_time)
+        made: Any = Script(modules.in_scripts() | outside.in_scripts(), sleep, own_time.monotonic)
         made.turns, made.clock, made.running = turns, clock, turns.running
         yield made
 

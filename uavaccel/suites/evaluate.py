@@ -229,7 +229,7 @@ class Evaluation(Suite[EvaluateConfig, Game]):
         """Return the policy's hash and the simulator. Raises UserError for unreadable weights or a missing device."""
         check_simulator(config.simulator, config.device)
         make_agent(config.agent, config.task)  # the weights too: nothing is written yet
-        by = {"simulator": config.simulator, "device": config.device}
+        by = {"simulator": config.simulator, "device": config.device, **super().provenance(config)}
         return {"policy_sha256": origin_of(config.agent).sha256(), **by}
 
     def status(self, rows: Sequence[Row]) -> str:

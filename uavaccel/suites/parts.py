@@ -83,9 +83,10 @@ class SuiteOfRuns(Suite[ConfigType, CaseType]):
 
     def provenance(self, config: ConfigType) -> Mapping[str, object]:
         """Check that this machine has the devices of the first case, the last run of each suite. Raises UserError."""
+        found: dict[str, object] = {}
         for suite, run in {run[0].name: run for run in self.runs(config, next(self.cases(config)))}.values():
-            suite.provenance(run)
-        return {}
+            found |= {key: value for key, value in suite.provenance(run).items() if key == "gpu"}
+        return found
 
     @contextmanager
     def open(self, config: ConfigType, timing: str, run: RunDirectory) -> Iterator[RunDirectory]:

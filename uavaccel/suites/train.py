@@ -236,7 +236,7 @@ class Training(Suite[TrainConfig, SimpleCase]):
             except (RuntimeError, AssertionError) as error:
                 raise UserError(f"device = {config.device!r}: {str(error).splitlines()[0]}") from error
         started = {} if config.start_from is None else {"start_from_sha256": origin_of(config.start_from).sha256()}
-        return {"torch_threads": config.torch_threads, **started}
+        return {"torch_threads": config.torch_threads, **started, **super().provenance(config)}
 
     def status(self, rows: Sequence[Row]) -> str:
         recent = [row["is_success"] for row in rows[-RECENT:]]
