@@ -485,6 +485,7 @@ CLOSE = {"observation": "dvs", "dvs_rate_hz": 500.0, "t_move_s": 0.1, "t_sample_
 HALF_A_MS, LONG = {"dvs_preset": "command_line"}, {"refractory_s": 0.05}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "keys"),
     [

@@ -207,17 +207,17 @@ def _raise_alone(numbers, place, least):  # type: ignore[no-untyped-def]
     return raised
 
 
-def rested(signed: int, camera: Operand, y: int, x: int, moment: Operand, rest: Operand) -> tuple[int, bool]:  # type: ignore[empty-body]
+def rested(signed: Any, camera: Operand, y: int, x: int, moment: Operand, rest: Operand) -> tuple[Any, bool]:  # type: ignore[empty-body]
     """Return a pixel's signed count without what its refractory period suppresses, and whether it is known yet."""
 
 
 @part
-def _as_is(signed: int, camera: Operand, y: int, x: int, moment: Operand, rest: Operand) -> tuple[int, bool]:
+def _as_is(signed: Any, camera: Operand, y: int, x: int, moment: Operand, rest: Operand) -> tuple[Any, bool]:
     return signed, True
 
 
 @part(error_model="numpy")
-def _after_rest(signed: int, camera: Operand, y: int, x: int, moment: Operand, rest: Rest) -> tuple[Any, bool]:
+def _after_rest(signed: Any, camera: Operand, y: int, x: int, moment: Operand, rest: Rest) -> tuple[Any, bool]:
     lane, before_s, time_s = moment
     most = rest.most[lane]
     if rest.counting != 0:
