@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-import subprocess
-import sys
 import threading
 from collections.abc import Iterator
 from pathlib import Path
@@ -17,7 +15,6 @@ import pytest
 from tests.flying import STRAIGHT, call, hovering, point
 from tests.learning import tiny_config
 from tests.running import configured, fly_into
-from tests.test_watch import CHROMIUM, FLAGS, new_page, simulated_s
 from uavaccel.cli.experiments import run_experiment
 from uavaccel.commands import COMMANDS, VelocityGoal
 from uavaccel.envs.obstacle_lane import ObstacleLane
@@ -246,38 +243,3 @@ def test_what_cannot_be_watched_is_refused(
     with pytest.raises(UsageError, match=f"--watch: .*{said}"):
         run_experiment(request)
     assert not (tmp_path / "run").exists()
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(not CHROMIUM.exists(), reason="needs Debian's chromium")
-def test_a_browser_holds_a_flight_and_lets_it_go(tmp_path: Path) -> None:
-    from playwright.sync_api import sync_playwright
-
-    (tmp_path / "script.py").write_text(SCRIPT)
-    command = [sys.executable, "-m", "uavaccel", "fly", "--no-settings", "--watch", "--out", "flight", "script.py"]
-    with (
-        sync_playwright() as playwright,
-        subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, text=True) as process,
-    ):
-        try:
-            assert process.stdout is not None
-            line = process.stdout.readline()
-            assert line.startswith("watch at http://127.0.0.1:"), line
-            browser = playwright.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
-            page = new_page(browser, viewport={"width": 1280, "height": 720})
-            page.goto(line.split()[2].rstrip(";"))
-            clocks, play = page.locator(".clocks"), page.get_by_role("button", name="Play", exact=True)
-            page.get_by_role("button", name="Pause").click()
-            play.wait_for()
-            clocks.get_by_text("Paused.").wait_for()
-            before = clocks.inner_text()
-            page.get_by_role("button", name="Step", exact=True).click()
-            page.wait_for_function("before => document.querySelector('.clocks').innerText != before", arg=before)
-            clocks.get_by_text("Paused.").wait_for()
-            assert simulated_s(clocks.inner_text()) - simulated_s(before) == pytest.approx(POLL_S, abs=0.011)
-            play.click()
-            said, _ = process.communicate(timeout=300)
-        finally:
-            process.kill()
-    assert "5 calls" in said
-    assert (tmp_path / "flight" / "trajectory.npz").exists()
