@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import cached_property
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, ParamSpec, Protocol, TypeVar, overload
 from uuid import uuid4
@@ -25,6 +26,7 @@ from numba.core.imputils import lower_constant
 from numba.core.registry import CPUDispatcher
 from numba.core.typing import Signature
 from numba.extending import models, register_model
+from numba.np import linalg
 
 P = ParamSpec("P")
 R = TypeVar("R", covariant=True)
@@ -202,6 +204,23 @@ def times(a: Real, b: Real) -> Real:
 def _on_cpu(a, b):  # type: ignore[no-untyped-def]  # numba compares its signature with the lambda's
     return lambda a, b: a * b
 
+
+# --- numba's own start ----------------------------------------------------------------------------------------------
+
+
+def load_without_scipy() -> None:
+    """Load numba's array functions without SciPy's linear algebra, which takes a sixth of the start of a flight.
+
+    numba loads it there only to see whether it could be called; where it is called, it is loaded still.
+    """
+    ensure_blas, linalg.ensure_blas = linalg.ensure_blas, lambda: None
+    from numba.np import arraymath
+
+    linalg.ensure_blas = arraymath.ensure_blas = ensure_blas
+    arraymath._HAVE_BLAS = find_spec("scipy") is not None
+
+
+load_without_scipy()
 
 # --- code on disk ---------------------------------------------------------------------------------------------------
 
