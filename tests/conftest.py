@@ -8,10 +8,12 @@ import re
 import signal
 import sys
 from collections.abc import Callable, Iterator
+from functools import cache
 from pathlib import Path
 
 import mujoco
 import pytest
+import typer.main
 from hypothesis import HealthCheck, settings
 from xdist.remote import Producer
 from xdist.scheduler import LoadScopeScheduling
@@ -26,6 +28,13 @@ from uavaccel.sim.lane import layout_from
 from uavaccel.sim.profile import NATIVE
 from uavaccel.sim.world import World
 
+# All that collection loads stays: looking through it for garbage would take a third of its time, and then as long in
+# the tests.
+gc.disable()
+
+# What typer makes of the commands is put together once, not whenever a test runs one.
+typer.main.get_command = cache(typer.main.get_command)
+
 # How long an example takes says something about the machine's other work alone. Each run draws other examples.
 settings.register_profile("untimed", max_examples=50, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("untimed")
@@ -36,8 +45,12 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 
 @pytest.fixture(autouse=True, scope="session")
 def own_state(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """Keep what tests trust out of the user's own state, also in the programs that they start."""
+    """Keep what tests trust out of the user's own state, also in the programs that they start.
+
+    Nothing of a test has to survive a loss of power, so no file waits for the disk.
+    """
     with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(os, "fsync", lambda descriptor: None)
         patch.setenv("XDG_STATE_HOME", str(tmp_path_factory.mktemp("state")))
         yield
 
@@ -102,9 +115,8 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Producer) -> ByGroup
 
 
 def pytest_collection_finish() -> None:
-    """What is loaded by now stays; scanned again and again, it would take a tenth of the tests' time."""
     gc.freeze()
-    gc.set_threshold(50_000, 20, 100)
+    gc.enable()
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

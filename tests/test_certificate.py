@@ -14,6 +14,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import cloudpickle
 import gymnasium
 import numpy as np
 import pytest
@@ -34,6 +35,7 @@ from uavaccel.wire.latency import read_latency
 
 pytestmark = pytest.mark.usefixtures("here")
 PERIOD_S = 0.01
+cloudpickle.register_pickle_by_value(sys.modules[__name__])  # or worker processes would load all that these tests do
 
 
 class Count(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):

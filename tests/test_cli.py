@@ -8,7 +8,8 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Callable
-from dataclasses import is_dataclass
+from contextlib import nullcontext
+from dataclasses import is_dataclass, replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Annotated, Any, Literal, get_args, get_origin
@@ -28,9 +29,10 @@ from uavaccel.cli.terminal import columns_within
 from uavaccel.draw.page import Table
 from uavaccel.errors import Interrupted, UsageError, UserError
 from uavaccel.records import RunDirectory
+from uavaccel.resources import experiment
 from uavaccel.suites.keys import KEYS
 from uavaccel.suites.registry import SUITES, find_suite
-from uavaccel.suites.session import Plan, RunRequest, configure, planned, resumable, resumption_notes
+from uavaccel.suites.session import Plan, RunRequest, configure, manifest_of, planned, resumable, resumption_notes
 from uavaccel.suites.suite import SimpleCase
 from uavaccel.units import NS_PER_S
 
@@ -413,6 +415,20 @@ def test_a_resumed_plan_has_the_games_without_a_row(tmp_path: Path) -> None:
     with planned(RunRequest(None, out=tmp_path / "run", resume=True)) as again:
         assert [case.id for case in again.cases] == [case.id for case in whole.cases]
         assert [case.id for case in again.left] == [case.id for case in whole.cases if case is not whole.cases[2]]
+
+
+def test_a_run_whose_part_has_changed_does_not_go_on(tmp_path: Path) -> None:
+    whole, part = tmp_path / "whole.yaml", tmp_path / "part.yaml"
+    whole.write_text(f"suite: paper\nparts: {{dp1-native: {{experiment: {part}}}}}\n")
+    request = RunRequest(str(whole), out=tmp_path / "run")
+    shutil.copy(experiment("dp1.yaml"), part)
+    with planned(request) as plan:
+        RunDirectory.create(tmp_path / "run", plan.config, manifest_of(plan.suite, plan.config, print))
+    changed = pytest.raises(UserError, match=r"part\.yaml has changed")
+    for old, new, expected in (("suite: ", "# the same\nsuite: ", nullcontext()), ("games: 20", "games: 21", changed)):
+        part.write_text(part.read_text().replace(old, new))
+        with expected, planned(replace(request, resume=True)):
+            pass
 
 
 TABLE = Table(("command", "effective speed-up", "source"), [("ADSC", "11.23", "modelled"), ("TCSC", "-", "x")])

@@ -54,6 +54,10 @@ EXECUTORS = """
         for _ in range(10):
             await asyncio.sleep(0.5)
         print("flown", client.getMultirotorState().timestamp - begun_ns)
+        moves = client.moveByVelocityAsync(2, 0, 0, 9)
+        loop.call_later(0.5, client.cancelLastTask)
+        begun = time.monotonic()
+        print("cancelled", await asyncio.to_thread(moves.get), since(begun))
         end = loop.time() + 0.01
         while loop.time() < end:
             await asyncio.sleep(0)
@@ -75,7 +79,7 @@ def test_executors_loops_and_schedulers_follow_the_simulated_clock(folder: Folde
     done = folder.fly(EXECUTORS, "--timing", "lockstep")
     assert done.stdout.splitlines()[:-1] == [
         "later 0.7", "wait_for 2.0", "to_thread 1.5 3.5", "run_in_executor 4.5",
-        "flown 5000000000",
+        "flown 5000000000", "cancelled False 0.5",
         "sched 2.0", "sched 4.0", "ThreadPool [1, 0.5, 0.2] 5.0", "joblib [0, 1, 2]", "left 6.0",
     ], done.stderr  # fmt: skip
 
@@ -148,7 +152,7 @@ REFUSED = "it cannot share a simulated clock: fly the script with --timing wall"
 @pytest.mark.slow
 def test_processes_of_a_script_share_the_server(folder: Folder) -> None:
     folder.write(CHILD, "child.py")
-    shared = folder.fly(CHILDREN, "--timing", "wall", "--", "spawn", str(folder.path))
+    shared = folder.fly(CHILDREN, "--timing", "wall", "--", "fork", str(folder.path))
     assert shared.stdout.splitlines()[:-1] == ["[0, 1, 4]", "0 True", "0", "True"], shared.stderr
 
 
@@ -172,6 +176,8 @@ def test_a_script_does_not_wait_for_a_process_that_was_refused(folder: Folder, h
     """A pool starts its processes again and again; a queue's reader does not hear that nobody writes any more."""
     text = """
         import airsim, multiprocessing, sys
+        from uavaccel.fly import environment
+        environment.POLL_S = 0.1  # seldom enough for this machine
 
         def flies(*queues):
             airsim.MultirotorClient()
@@ -276,6 +282,27 @@ def test_an_interrupted_check_says_that_it_did_not_check(folder: Folder) -> None
     assert "differ" not in done.stderr
     done = folder.fly("import os, signal\nos.kill(os.getpid(), signal.SIGINT)", "--check")  # the first one is
     assert (done.returncode, done.stdout) == (130, "interrupted; no client connected, nothing was flown\n")
+
+
+def test_what_is_called_at_exit_may_still_fly(folder: Folder) -> None:
+    text = """
+        import airsim, atexit
+        client = airsim.MultirotorClient()
+        client.enableApiControl(True)
+
+        @atexit.register
+        def last():
+            print("last")
+
+        atexit.register(lambda: 1 / 0)
+        atexit.register(lambda duration: print(client.hoverAsync().get(), client.ping()), duration=1)
+        atexit.unregister(atexit.register(print, "never"))
+        print("first")
+    """
+    done = folder.fly(text)
+    assert done.stdout.splitlines()[:3] == ["first", "False True", "last"]
+    assert done.stderr.splitlines()[-1] == "ZeroDivisionError: division by zero"
+    assert "uavaccel" not in done.stderr
 
 
 # --- what scripts import -------------------------------------------------------------------------------------------

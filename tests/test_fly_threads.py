@@ -15,7 +15,10 @@ import multiprocessing.pool
 import queue
 import re
 import sched
+import select
+import selectors
 import socket
+import socketserver
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -31,7 +34,7 @@ from uavaccel.clock import VirtualClock, time_module
 from uavaccel.fly.modules import Patches
 from uavaccel.fly.script import FlightOver
 from uavaccel.fly.simulated import READING_NS
-from uavaccel.fly.threads import SharedModules, ThreadModules
+from uavaccel.fly.threads import OutsideEvents, SharedModules, ThreadModules
 from uavaccel.fly.turns import Turns
 from uavaccel.units import NS_PER_S
 
@@ -52,6 +55,7 @@ class Script:
 
     def __init__(self, modules: dict[str, Any], sleep: Callable[[float], None], now_s: Callable[[], float]) -> None:
         self.threading, self.queue, self.thread = (modules[name] for name in ("threading", "queue", "_thread"))
+        self.select, self.selectors = modules["select"], modules["selectors"]
         self.sleep, self.now_s = sleep, now_s
         self.said: list[Any] = []
         self.shared = SimpleNamespace(pool=multiprocessing.pool.ThreadPool, dummy=multiprocessing.dummy)
@@ -292,14 +296,16 @@ def queues(s: Script) -> None:
     thread.join()
 
 
+def unless_two(s: Script, units: float) -> float:
+    s.units(units)
+    if units == 2:
+        raise ValueError("two")
+    return units
+
+
 @program
 def executors(s: Script) -> None:
-    def wait(units: float) -> float:
-        s.units(units)
-        if units == 2:
-            raise ValueError("two")
-        return units
-
+    wait = partial(unless_two, s)
     with ThreadPoolExecutor(3) as pool:
         s.ask(lambda: list(pool.map(wait, (3, 1, 4))), lambda: list(pool.map(wait, (1, 2, 3))))
         futures = [pool.submit(wait, units) for units in (6, 0, 3)]
@@ -308,6 +314,12 @@ def executors(s: Script) -> None:
         s.ask(
             partial(slow.result, 0.01), lambda: list(as_completed([slow], 0.01)), slow.running, slow.cancel, slow.result
         )
+
+
+@program
+def waits_for_futures(s: Script) -> None:
+    wait = partial(unless_two, s)
+    with ThreadPoolExecutor(3) as pool:
         failed = pool.submit(wait, 2)
         failed.add_done_callback(lambda future: s.say("callback", future is failed))
         s.ask(failed.result, lambda: type(failed.exception()), failed.done)
@@ -325,18 +337,26 @@ def executors(s: Script) -> None:
     s.ask(lambda: type(broken.submit(abs, 1).exception()).__name__)
 
 
+def quotient(s: Script, units: float) -> float:
+    s.units(units)
+    return 6 / (units - 2)
+
+
 @program
 def pools(s: Script) -> None:
-    def wait(units: float) -> float:
-        s.units(units)
-        return 6 / (units - 2)
-
+    wait = partial(quotient, s)
     with s.shared.pool(3, s.say, ("begun",)) as pool:
         s.ask(partial(pool.map, wait, (5, 1, 3)), lambda: list(pool.imap(wait, (5, 1, 3))))
         s.ask(lambda: list(pool.imap_unordered(wait, (5, 1, 3))), partial(pool.starmap, pow, [(2, 3), (3, 2)]))
         s.ask(
             partial(pool.apply, int, ("11",), {"base": 2}), partial(pool.map, wait, (1, 2)), partial(pool.map, abs, [])
         )
+
+
+@program
+def results_of_pools(s: Script) -> None:
+    wait = partial(quotient, s)
+    with s.shared.pool(3) as pool:
         for units in ((4, 3), (1, 2)):
             told: list[Any] = []
             result = pool.map_async(
@@ -345,6 +365,10 @@ def pools(s: Script) -> None:
             s.ask(partial(result.get, timeout=0.01), result.ready, result.successful, result.wait, result.ready)
             s.ask(result.successful, result.get, partial(list, told))
         s.ask(lambda: pool.apply_async(wait, (3,)).get(LATER_S), lambda: next(pool.imap(wait, [8])))
+
+
+@program
+def ends_of_pools(s: Script) -> None:
     for end, each in (("close", 1), ("terminate", 1)):
         ended: list[int] = []
         pool = s.shared.pool(1)
@@ -421,6 +445,41 @@ def sockets(s: Script) -> None:
 
 
 @program
+def selects(s: Script) -> None:
+    """Who waits until one of several files has data leaves the others their turns, too."""
+    poll, selector = s.select.poll(), s.selectors.DefaultSelector()
+    with socket.socket(type=socket.SOCK_DGRAM) as receiver, socket.socket(type=socket.SOCK_DGRAM) as sender:
+        receiver.bind(("127.0.0.1", 0))
+        sender.connect(receiver.getsockname())
+        poll.register(receiver, select.POLLIN)
+        selector.register(receiver, selectors.EVENT_READ)
+        within = partial(s.select.select, [receiver], [], [])
+        for wait in (within, poll.poll, selector.select):
+            for timeout in (0, 0.01, LATER_S, None):
+                [thread] = s.start(lambda: (s.units(1), sender.send(b"ping"))) if timeout in (None, LATER_S) else [None]
+                s.say(any(wait(*() if timeout is None else (timeout,))))
+                if thread is not None:
+                    s.say(receiver.recv(9))
+                    thread.join()
+
+
+@program
+def servers(s: Script) -> None:
+    class Handler(socketserver.StreamRequestHandler):
+        def handle(self) -> None:
+            s.say(self.rfile.readline())
+
+    with socketserver.TCPServer(("127.0.0.1", 0), Handler) as server:
+        [thread] = s.start(server.serve_forever)
+        s.units(1)
+        with socket.create_connection(server.socket.getsockname()) as connection:
+            connection.sendall(b"ping\n")
+            s.say(connection.recv(9))
+        server.shutdown()
+        thread.join()
+
+
+@program
 def schedulers(s: Script) -> None:
     for scheduler in (sched.scheduler(), sched.scheduler(s.now_s, s.sleep)):
         scheduler.enter(3 * UNIT_S, 1, s.say, ("second",))
@@ -436,7 +495,8 @@ def schedulers(s: Script) -> None:
 @pytest.fixture(scope="module")
 def on_pythons_threads() -> dict[str, list[Any]]:
     """What the programs say on Python's own threads, all at the same time."""
-    modules = {"threading": threading, "queue": queue, "_thread": _thread}
+    own = (threading, queue, _thread, select, selectors)
+    modules = {module.__name__: module for module in own}
 
     def run(each: Program) -> list[Any]:
         script = Script(modules, time.sleep, time.monotonic)
@@ -463,8 +523,9 @@ def script() -> Iterator[Any]:
 
     with Patches() as patches:
         own_time: Any = time_module(read_ns, sleep)
-        SharedModules(patches, turns, modules, own_time)
-        made: Any = Script(modules.in_scripts(), sleep, own_time.monotonic)
+        outside = OutsideEvents(turns, own_time)
+        SharedModules(patches, turns, modules, outside, own_time)
+        made: Any = Script(modules.in_scripts() | outside.in_scripts(), sleep, own_time.monotonic)
         made.turns, made.clock, made.running = turns, clock, turns.running
         yield made
 

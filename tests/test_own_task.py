@@ -273,6 +273,17 @@ def test_a_mistake_in_flight_is_one_line(
     assert line in error or simulator == "kernels"
 
 
+def test_a_start_where_nothing_flies_is_one_line(
+    here: Path, said: Callable[[str], str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fly_here(monkeypatch.setattr)
+    here.joinpath("post.py").write_text(f"{POST}\n    altitude_m: float = 1e5\n")
+    error = said(f"train {yaml_of(here, 'Post', 'mujoco')} --out run")
+    assert error.endswith(
+        "post.py: Post.altitude_m: position: NED z has to be from -19878 (thin air) to 0 m (the ground), not -100000"
+    )
+
+
 def test_actions_want_their_algorithm(here: Path, said: Callable[[str], str]) -> None:
     for task, algorithm, needed in (("Post", "ppo", "double_dqn"), ("Free", "double_dqn", "ppo")):
         line = said(f"train {yaml_of(here, task)} --dry-run --set algorithm={algorithm} --set options={{}}")

@@ -8,10 +8,12 @@ import subprocess
 import sys
 import zipfile
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
+import torch as th
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
@@ -33,7 +35,7 @@ from uavaccel.files import (
     write_arrays,
 )
 from uavaccel.fly.script import compiled
-from uavaccel.machine import describe_run
+from uavaccel.machine import describe_run, gpu
 from uavaccel.records import RunDirectory
 from uavaccel.wire.settings import LARGEST_BYTES, read_settings
 
@@ -377,6 +379,15 @@ def test_the_manifest_names_versions_and_host() -> None:
     assert manifest["host"]["cores"] >= 1
     assert manifest["host"]["memory_bytes"] > 0
     assert "LP_NUM_THREADS" in manifest["environment"]
+
+
+def test_the_manifest_names_the_gpu(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert gpu("cpu") == gpu("mps") == {}
+    found = SimpleNamespace(name="H100", uuid="e1b2")
+    monkeypatch.setattr("torch.cuda.is_available", lambda: True)
+    monkeypatch.setattr("torch.cuda.get_device_properties", lambda device: found)
+    versions = {"cuda": th.version.cuda, "cudnn": th.backends.cudnn.version()}
+    assert gpu("cuda:1") == {"gpu": {"name": "H100", "uuid": "e1b2", **versions}}
 
 
 def test_the_manifest_names_the_commit_and_whether_files_differ(

@@ -3,25 +3,32 @@
 from __future__ import annotations
 
 import json
-import os
-import subprocess
+import runpy
 import sys
-from importlib.util import module_from_spec, spec_from_file_location
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from tests.running import fly_into
 from tests.test_document import parse
 from uavaccel.cli.machine import SCHEMA, init, schema_text
 from uavaccel.config import load_yaml
 from uavaccel.errors import UserError
 from uavaccel.resources import experiment
 from uavaccel.suites.registry import SUITES, find_suite
+from uavaccel.suites.runner import run_suite, start_run
 from uavaccel.suites.session import RunRequest, configure, reading
 
-EXPERIMENTS = [path for path in sorted(experiment("dp1.yaml").parent.rglob("*.yaml")) if "suite" in load_yaml(path)]
+EXPERIMENTS = [
+    path for path in sorted(experiment("dp1.yaml").parent.rglob("*.yaml")) if "\nsuite: " in path.read_text("utf-8")
+]
+
+
+@cache
+def schema_of(suite: str) -> dict[str, Any]:
+    schema: dict[str, Any] = json.loads(schema_text(suite))
+    return schema
 
 
 @pytest.fixture(scope="module")
@@ -59,7 +66,7 @@ def misfits(value: Any, schema: dict[str, Any], whole: dict[str, Any], key: str 
 
 
 def misfits_of(mapping: dict[str, Any]) -> list[str]:
-    schema = json.loads(schema_text(mapping["suite"]))
+    schema = schema_of(mapping["suite"])
     return misfits(mapping, schema, schema)
 
 
@@ -69,7 +76,7 @@ def test_shipped_experiments_fit_their_schemas(path: Path) -> None:
 
 
 def test_every_suite_has_a_schema_that_tells_wrong_keys() -> None:
-    assert all(json.loads(schema_text(suite))["properties"]["suite"] for suite in SUITES)
+    assert all(schema_of(suite)["properties"]["suite"] for suite in SUITES)
     wrong = {"suite": "train", "game": 3, "task": {"command": "fly", "lane": "lane.yaml", "speed_m_s": "1"}}
     assert misfits_of(wrong) == [".game", ".task.command", ".task.speed_m_s"]
     with pytest.raises(UserError, match="did you mean 'train'"):
@@ -77,12 +84,7 @@ def test_every_suite_has_a_schema_that_tells_wrong_keys() -> None:
 
 
 def test_the_page_of_keys_has_every_key_of_every_suite() -> None:
-    spec = spec_from_file_location("keys", Path(__file__).parents[1] / "docs" / "site" / "keys.py")
-    assert spec is not None
-    assert spec.loader is not None
-    keys = module_from_spec(spec)
-    spec.loader.exec_module(keys)
-    page = keys.page()
+    page = runpy.run_path(str(Path(__file__).parents[1] / "docs/site/keys.py"))["page"]()
     for name in SUITES:
         table = page.split(f"\n## {name}\n")[1].split("\n## ")[0]
         for key in find_suite(name, "keys").config.model_fields:
@@ -106,20 +108,28 @@ def test_commands_of_the_readme_parse(folder: Path) -> None:
         parse(line.split()[1:])
 
 
-@pytest.mark.slow
-def test_the_tests_of_the_task_pass(folder: Path) -> None:
-    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider"]
-    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[1])}
-    done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, timeout=600)
-    assert "3 passed" in done.stdout
+def test_the_tests_of_the_task_pass(folder: Path, here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(folder)
+    tests = [made for name, made in runpy.run_path(str(folder / "test_task.py")).items() if name.startswith("test_")]
+    monkeypatch.delitem(sys.modules, "task")
+    assert len(tests) == 3
+    for test in tests:
+        test()
 
 
 @pytest.mark.slow
 def test_the_task_is_learned(folder: Path, tmp_path: Path) -> None:
-    """It wins more than four of five games."""
-    with reading(RunRequest(str(folder / "train.yaml"))) as (suite, config):
-        rows = fly_into(tmp_path / "run", suite, config).rows()
-    assert sum(row["is_success"] for row in rows[-100:]) >= 80
+    """It wins more than four of five games, of its 800 soon after the first half."""
+    won: list[bool] = []
+
+    def look(case: Any, row: Any) -> None:
+        won.append(row["is_success"])
+        if len(won) == 500:
+            raise KeyboardInterrupt
+
+    with reading(RunRequest(str(folder / "train.yaml"))) as (suite, config), pytest.raises(KeyboardInterrupt):
+        run_suite(suite, config, start_run(suite, config, tmp_path / "run", {}), on_game=look)
+    assert sum(won[-100:]) >= 80
 
 
 def test_a_folder_with_something_in_it_is_left_alone(folder: Path, tmp_path: Path) -> None:

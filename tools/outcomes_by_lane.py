@@ -1,30 +1,42 @@
-"""Writes which lanes the policies of a run of the suite `rl` won in real time, a line for each policy and command.
+"""Writes which lanes the policies of a run of the suite `rl` won, a line for each policy and flight of it.
 
     uavaccel run rl --jobs 4 --out runs/rl
     python -m tools.outcomes_by_lane runs/rl > docs/tables/rl_test_lanes.csv
 
-`won` has a 1 or a 0 for each lane, from `first_lane` of its split on. Seeds that are not complete are left out.
+`won` has a 1 or a 0 for each lane, from `first_lane` of its split on; `ended_m`, of flights in real time with the
+command of the training, how far north each lost one ended, m. Seeds that are not complete are left out.
 """
 
 from __future__ import annotations
 
 import sys
 
+import pandas as pd
+
 from uavaccel.suites.registry import open_run
 from uavaccel.suites.rl import KEY, flights_of, where
 
-COLUMNS = ["profile", "command", "clock_speed", "seed", "with", "first_lane", "won", "weights_sha256"]
+SAME = [name for name in KEY if name != "timing"] + ["seed", "with", "at"]
+COLUMNS = [*SAME, "first_lane", "won", "ended_m", "weights_sha256"]
 
 
 def main(path: str) -> None:
     run = open_run(path)
-    flights = where(flights_of(run.rows(), run.load_arrays), exact=False, at=1.0)
-    flights = flights.drop_duplicates([*KEY, "seed", "with"]).sort_values([*KEY, "seed", "with"])
-    count = flights.groupby("seed").size()
-    lanes = flights.won.map(lambda won: won.sort_index())
-    outcomes = lanes.map(lambda won: "".join("01"[each] for each in won))
-    flights = flights.assign(first_lane=lanes.map(lambda won: won.index[0]), won=outcomes)
-    flights[flights.seed.map(count) == count.max()][COLUMNS].to_csv(sys.stdout, index=False)
+    flights = where(flights_of(run.rows(), run.load_arrays), exact=False)
+    flights = flights.drop_duplicates(SAME).sort_values(SAME)
+    lines = pd.DataFrame(map(by_lane, flights.to_dict("records")))
+    count = lines.groupby("seed").size()
+    lines[lines.seed.map(count) == count.max()][COLUMNS].to_csv(sys.stdout, index=False)
+
+
+def by_lane(flight: dict[str, object]) -> dict[str, object]:
+    """Return a flight with its outcome on each lane, in order, and the ends of those lost, in words."""
+    won = flight["won"]
+    assert isinstance(won, pd.Series)
+    lost_m = pd.Series(flight["distance_m"], won.index)[~won].sort_index() if flight["flight"] == 0 else []
+    won = won.sort_index()
+    words = {"won": "".join("01"[each] for each in won), "ended_m": " ".join(f"{each:.3f}" for each in lost_m)}
+    return flight | words | {"first_lane": won.index[0]}
 
 
 if __name__ == "__main__":

@@ -23,13 +23,14 @@ from tools.fit_airsim import Parameters, model
 from uavaccel.config import parse_yaml, validate
 from uavaccel.metrics.estimates import Estimate, Success
 from uavaccel.metrics.intervals import TAILS, Proportion, fisher_exact_p, permutation_p
+from uavaccel.sim.lane import LENGTH_M
 from uavaccel.suites import claims, paper_results
 from uavaccel.suites.mediation import Contrast, Share, effect, share_of_loss
 from uavaccel.suites.paper import Claim, PaperConfig, read_claims, verdict
 from uavaccel.suites.parts import Part
 from uavaccel.suites.realtime import Evaluation, Realtime
 from uavaccel.suites.report import table_of
-from uavaccel.suites.rl import flights_of, gap_s, success_of, times_of, where
+from uavaccel.suites.rl import flight_name, flights_of, gap_s, same_weights, success_of, times_of, where
 from uavaccel.suites.session import RunRequest, configure
 from uavaccel.wire.latency import shipped_latency
 
@@ -62,9 +63,33 @@ def rows_of(name: str) -> list[dict[str, Any]]:
 
 
 @cache
+def by_lane(name: str) -> pd.DataFrame:
+    """Return the flights of docs/tables/NAME.csv, made by tools/outcomes_by_lane.py, as `flights_of` has them."""
+    table = pd.read_csv(TABLES / f"{name}.csv", dtype={"won": str}, keep_default_na=False)
+    lanes = [first + np.arange(len(won)) for first, won in zip(table.first_lane, table.won, strict=True)]
+    won = [pd.Series([each == "1" for each in won], at) for won, at in zip(table.won, lanes, strict=True)]
+    success = [Proportion(int(each.sum()), len(each)) for each in won]
+    return table.assign(won=won, success=success, ratio=[each.ratio for each in success])
+
+
+def arrays_of(row: dict[str, Any]) -> dict[str, Any]:
+    """Return the outcomes by lane of a row of Table I, as its run keeps them; a lane that was won ends with it."""
+    arrays: dict[str, Any] = {}
+    keys = {key: row[key] for key in ("profile", "command", "clock_speed", "seed")}
+    for flight in where(by_lane("rl_test_lanes"), **keys).to_dict("records"):
+        name, won = flight_name(flight["with"], flight["at"], 1.0), flight["won"]
+        distance_m = np.full(len(won), LENGTH_M)
+        if flight["ended_m"]:
+            distance_m[~won] = [float(end) for end in flight["ended_m"].split()]
+        kept = {"lane": won.index.to_numpy(), "is_success": won.to_numpy(), "distance_m": distance_m}
+        arrays |= {f"{name}_{key}": values for key, values in kept.items()}
+    return arrays
+
+
+@cache
 def trainings(name: str) -> pd.DataFrame:
-    """Return the flights of the policies of a table; of lanes and distances nothing is known."""
-    return flights_of(rows_of(name), lambda row: {})
+    """Return the flights of the policies of a table; of others than Table I's lanes and distances are not known."""
+    return flights_of(rows_of(name), arrays_of if name == "rl_table1" else lambda row: {})
 
 
 def policies(table: str, command: str, clock_speed: float, variant: str = "", profile: str = "airsim") -> pd.DataFrame:
@@ -94,7 +119,7 @@ def evidence(part: str) -> claims.Flown:
 def verdicts(profile: str) -> dict[str, dict[str, str]]:
     """Return the verdict on each claim, and what decides it."""
     found: dict[str, Any] = {kind: evidence(f"{kind}-{profile}") for kind in ("dp1", "dp2")}
-    found["rl"] = claims.Trainings.of(rows_of("rl_table1"), profile, lambda row: {})
+    found["rl"] = claims.Trainings.of(rows_of("rl_table1"), profile, arrays_of)
     return {claim.id: verdict(claim, found) for claim in claims_of_the_paper()}
 
 
@@ -118,6 +143,12 @@ def percent(flights: pd.DataFrame, digits: int = 0) -> str:
 def over_seeds(estimate: Estimate) -> str:
     value, low, high = (f"{100 * each:.1f}" for each in estimate)
     return f"{value} % [{low}, {high}]"
+
+
+def apart(difference: Estimate) -> str:
+    """Return a difference in points with its interval."""
+    more, low, high = (f"{100 * each:+.1f}".replace("-", "−") for each in difference)
+    return f"{more} [{low}, {high}]"
 
 
 def counted(values: list[int]) -> str:
@@ -156,8 +187,8 @@ def readme_says() -> Text:
 
 
 def results_paper() -> Page:
-    says = (headline, table_1, table_1_bullets, claims_table, notes_on_table_1, on_test_lanes, interchanged, times)
-    more = (gaps, one_changed, what_helps, the_model, what_was_fitted)
+    says = (headline, table_1, table_1_bullets, claims_table, on_evaluation_lanes, the_learner)
+    more = (interchanged, times, gaps, one_changed, what_helps, the_model, what_was_fitted, sensitivity)
     return Page((text for of in (*says, *more) for text in of()), SETTINGS)
 
 
@@ -167,42 +198,50 @@ def headline() -> Text:
     adsc, tcsc = (percent(flown(policies("rl_table1", command, 10.0))) for command in ("adsc", "tcsc"))
     yield f"**Trained with ADSC at 10x, policies win {adsc} % of unseen lanes in real time"
     yield f"trained with TCSC they win {tcsc} %, and {held['holds']} of the paper's {held.total()} claims hold under"
+    assert not held["pending"] + native["pending"]
     yield (
-        f"Of the paper's {held.total()} claims, {held['holds']} hold under `airsim`, {in_words(held['fails'])} fail, "
-        f"{in_words(held['undecided'])} are undecided and {in_words(held['pending'])} has no rows.**"
+        f"Of the paper's {held.total()} claims, {held['holds']} hold under `airsim`, {in_words(held['fails'])} fail "
+        f"and {in_words(held['undecided'])} are undecided.**"
     )
     yield (
-        f"Without AirSim's latencies (`native`) {native['holds']} hold, {in_words(native['fails'])} fail, "
-        f"{in_words(native['undecided'])} are undecided and {in_words(native['pending'])} has no rows."
+        f"Without AirSim's latencies (`native`) {native['holds']} hold, {in_words(native['fails'])} fail and "
+        f"{in_words(native['undecided'])} are undecided."
     )
 
 
 def table_1() -> Text:
     for clock in CLOCKS:
-        cells = []
+        cells, successes = [], []
         for command in ("tcsc", "adsc"):
             of, real = (flown(policies("rl_table1", command, k)) for k in (clock, 1.0))
+            successes.append(success_of(of))
             p = permutation_p(of.ratio, real.ratio) if clock > 1 else None
             digits = 2 if p and p > 0.01 else 5
             cells.append(f"{over_seeds(success_of(of).estimate)} |{'' if p is None else ' ' + short(p, digits)} |")
         paper = [paper_results.SUCCESSES[command][clock] for command in ("tcsc", "adsc")]
-        yield f"| {clock:g}x | {cells[0]} {paper[0]} | {cells[1]} {paper[1]} |"
+        difference = apart(successes[0].difference(successes[1]))
+        yield f"| {clock:g}x | {cells[0]} {paper[0]} | {cells[1]} {paper[1]} | {difference} |"
 
 
 def table_1_bullets() -> Text:
     fast = policies("rl_table1", "adsc", 10.0)
     own, other, real = (
-        percent(flown(fast, command, at), 1) for command, at in ((None, 10.0), ("tcsc", 1.0), (None, 1.0))
+        over_seeds(success_of(flown(fast, command, at)).estimate)
+        for command, at in ((None, 10.0), ("tcsc", 1.0), (None, 1.0))
     )
-    yield f"ADSC's policies of 10x win {own} % of the lanes flown as they were trained"
-    yield f"{float(other):.0f} % of the same lanes with TCSC, and {float(real):.0f} % in real time."
-    alike = trainings("rl_table1").query("profile == 'native' and command == 'tcsc' and flight == 0").groupby("seed")
-    same = alike.weights_sha256.nunique()[alike.size() == len(CLOCKS)]
-    yield f"Under `native` {in_words(int((same == 1).sum()))} seeds of TCSC learn the same weights at 1 to 100x"
+    yield f"ADSC's policies of 10x win {own} of the lanes flown as they were trained"
+    yield f"{other} of the same lanes with TCSC, and {real} in real time."
+    (alike,) = same_weights(trainings("rl_table1").query("profile == 'native' and command == 'tcsc' and flight == 0"))
+    paused, running = (
+        [success_of(flown(policies("rl_table1", command, k, profile="native"))).estimate for k in CLOCKS]
+        for command in ("tcsc", "adsc")
+    )
+    (same,), lowest = set(paused), min(running)
+    yield f"{in_words(len(alike['equal']))} seeds of TCSC learn the same weights at 1 to 100x, to the bit,"
+    yield f"to the bit, and win {over_seeds(same)};"
+    yield f"ADSC's lowest success is {over_seeds(lowest)}, at {CLOCKS[running.index(lowest)]:g}x"
     wins = zip(*(won(flown(policies("rl_table1", "adsc", k))) for k in (50.0, 100.0)), strict=True)
     yield f"than those of 50x, with each of the {in_words(sum(fewer < more for fewer, more in wins))} seeds"
-    native = [float(percent(flown(policies("rl_table1", "adsc", k, profile="native")), 1)) for k in CLOCKS]
-    yield f"ADSC's policies win {min(native):.0f} to {max(native):.0f} % at every ClockSpeed."
     tcsc, adsc = (won(flown(policies("rl_latency", command, 5.0))) for command in ("tcsc", "adsc"))
     p = {n: fisher_exact_p((21, 100), (n, 100)) for n in (30, 13)}
     assert f"{p[30]:.2g}" == f"{p[13]:.2g}"
@@ -223,44 +262,90 @@ def claims_table() -> Text:
         yield f"| {claim.says} ({claim.place}{basis}) | {judged} | {words.get(there['verdict'], there['verdict'])} |"
 
 
-def notes_on_table_1() -> Text:
-    yield f"{len(rows_of('rl_table1'))} trainings"
-    for clock in CLOCKS:
-        tcsc, adsc = (counted(won(flown(policies("rl_table1", command, clock)))) for command in ("tcsc", "adsc"))
-        yield f"| {clock:g}x | {tcsc} | {adsc} |"
-    native = [success_of(flown(policies("rl_table1", "adsc", k, profile="native"))).estimate for k in CLOCKS]
-    *most, last = map(over_seeds, native)
-    yield f"ADSC's ten seeds win {', '.join(most)} and {last} at 1 to 100x"
-    (pair,) = {tuple(won(flown(policies("rl_table1", "tcsc", k, profile="native")))[:2]) for k in CLOCKS}
-    yield f"TCSC's seeds 0 and 1 win {pair[0]} and {pair[1]} of 300 at each."
-
-
-def on_test_lanes() -> Text:
-    """In real time, with the command of the training, and its difference from the other one's."""
-    own = pd.read_csv(TABLES / "rl_test_lanes.csv", dtype={"won": str}).query("command == `with`")
-    own = own.assign(won=own.won.map(lambda won: np.array([*won], np.int64)))
-    yield f"The first {in_words(own.seed.nunique())} seeds"
-    keys = ["profile", "command", "clock_speed", "seed"]
-    both = own.merge(where(trainings("rl_table1"), flight=0), on=keys, suffixes=("", "_before"))
+def on_evaluation_lanes() -> Text:
+    """The policies of Table I as another machine trained them, on the lanes on which variants were compared."""
+    yield f"has the rows of {len(rows_of('rl_table1'))} trainings"
+    before = pd.DataFrame(rows_of("rl_evaluation_lanes"))
+    keys = ["profile", "command", "clock_speed"]
+    both = before.merge(where(trainings("rl_table1"), flight=0), on=[*keys, "seed"], suffixes=("_before", ""))
     same = both.weights_sha256 == both.weights_sha256_before
-    equal = f"equal to the bit ({same.sum()} of the {len(both)} that Table I has)"
-    yield f"{equal}, and flown on {own.won.iloc[0].size} lanes"
-    successes = {
-        key: Success.on_lanes(flown.sort_values("seed").won.tolist())
-        for key, flown in own.groupby(["profile", "clock_speed", "command"])
+    yield f"weights equal to the bit in {same.sum()} of {len(before)} trainings"
+    cells, moved = [own for _, own in both.groupby(keys) if len(own) == 10], []
+    for own in cells:
+        here = success_of(own).estimate
+        there = Success(tuple(map(Proportion.of, own.to_dict("records")))).estimate
+        assert max(here.low, there.low) <= min(here.value, there.value)
+        assert max(here.value, there.value) <= min(here.high, there.high)
+        moved.append(abs(there.value - here.value))
+    yield f"In each of the {len(cells)} cells with ten seeds"
+    yield f"within the other's interval, at most {short(100 * max(moved), 1)} points apart"
+
+
+LEARNERS = {
+    "Table I's": "",
+    "no mirror images": "no_mirror",
+    "one command's reward": "one_step",
+    "a constant learning rate": "constant_rate",
+    "a copy every 10 000 commands": "target_each_10000",
+    "all four": "none_of_them",
+}
+
+
+def learner(variant: str, command: str) -> pd.DataFrame:
+    return where(by_lane("rl_learner"), variant=variant, command=command).sort_values("seed")
+
+
+def the_learner() -> Text:
+    """What changes with the parts of the learner, paired by seed and lane."""
+    base = {command: success_of(learner("", command)) for command in ("tcsc", "adsc")}
+    without = {
+        (variant, command): success_of(learner(variant, command)).difference(own, same_policies=True)
+        for variant in LEARNERS.values()
+        for command, own in base.items()
     }
-    for clock in CLOCKS:
-        tcsc, adsc = (successes["airsim", clock, command] for command in ("tcsc", "adsc"))
-        more, low, high = (f"{100 * each:+.1f}".replace("-", "−") for each in tcsc.difference(adsc))
-        yield f"| {clock:g}x | {over_seeds(tcsc.estimate)} | {over_seeds(adsc.estimate)} | {more} [{low}, {high}] |"
-    apart = (
-        abs(success.pooled.ratio - success_of(flown(policies("rl_table1", command, clock))).pooled.ratio)
-        for (profile, clock, command), success in successes.items()
-        if profile == "airsim"
-    )
-    yield f"by more than {100 * max(apart):.1f} points"
-    native = [100 * success.pooled.ratio for (profile, *_), success in successes.items() if profile == "native"]
-    yield f"under `native` all win {min(native):.0f} to {max(native):.0f} %"
+    for name, variant in LEARNERS.items():
+        cells = [
+            f"{over_seeds(success_of(learner(variant, command)).estimate)} |"
+            + (f" {apart(without[variant, command])} |" if variant else " |")
+            for command in base
+        ]
+        yield f"| {name} | {' '.join(cells)}"
+
+    def costs(variant: str, command: str) -> str:
+        value, low, high = (short(-100 * each, 1) for each in without[variant, command])
+        return f"{value} points [{high}, {low}]"
+
+    yield f"TCSC's policies lose {costs('one_step', 'tcsc')} with one command's reward"
+    others = [without[variant, "tcsc"].low for variant in ("no_mirror", "constant_rate", "target_each_10000")]
+    yield f"by each of the other three changes at most {-100 * min(others):.1f}, by the ends of the intervals"
+    *most, last = won(learner("no_mirror", "adsc"))
+    before = won(learner("", "adsc"))
+    yield f"win {counted(most)} and {last} of 300 instead of {min(before)} to {max(before)},"
+    yield f"{max(before)}, {costs('no_mirror', 'adsc')} fewer."
+    certain = sum(each.low > 0 or each.high < 0 for (variant, _), each in without.items() if variant)
+    yield f"{in_words(certain).capitalize()} of the ten intervals exclude 0"
+
+
+VARIANTS = {"callback_25ms": "25 ms", "frames_30hz": "30 Hz", "frames_120hz": "120 Hz", "spread_0_25": "σ = .25"}
+
+
+def sensitivity() -> Text:
+    """One seed of experiments/rl_sensitivity.yaml beside the ten of Table I."""
+    table, ten = by_lane("rl_sensitivity"), where(trainings("rl_table1"), flight=0, profile="airsim")
+    table, ten = table.assign(won=won(table)), ten.assign(won=won(ten))
+    keys = ["command", "clock_speed"]
+    ends = ten.groupby(keys).won.agg(least="min", most="max")
+    changed = table[table.variant != ""].join(ends, on=keys)
+    free = changed[(changed.command == "adsc") | ~changed.variant.str.startswith("callback")]
+    outside = free[(free.won < free.least) | (free.won > free.most)]
+    yield f"{len(table)} of its 160 trainings"
+    yield f"Of the {len(free)} that a change can reach, {in_words(len(outside))} lie outside the range"
+    yield f"chance alone would put {in_words(round(len(free) * 2 / 11))} there"
+    for variant, own in outside.groupby("variant"):
+        each = (f"{of.command.upper()} {of.won} at {of.clock_speed:g}x" for of in own.itertuples())
+        yield f"{VARIANTS[variant]}: {', '.join(each)}"
+    adsc, tcsc = (where(table, command=command, clock_speed=10.0).won for command in ("adsc", "tcsc"))
+    yield f"At 10x all win {adsc.min()} to {adsc.max()} with ADSC and {tcsc.min()} to {tcsc.max()} with TCSC"
 
 
 def interchanged() -> Text:
@@ -436,7 +521,7 @@ def what_was_fitted() -> Text:
 
 SETTINGS = (
     r"[Aa]gents that think for \.2 s|with \.[24] s of thinking",
-    r"of 300|Figures? \d|23 successes to 1|gap of 1\.17 s|47\.8 ms, ADSC|T_move (?:\.2 and )?1 s",
+    r"of 300|Figures? \d|23 successes to 1|gap of 1\.17 s|agent's 47\.8 ms|T_move (?:\.2 and )?1 s",
     r"per cent of 3 000 lanes|hours of 5 000 games|gaps of 1\.2 m and rows 7 m apart",
     r"(?<![\d.])(?:1|5|10|50|100)x",
     r"(?<![\d.])1 to 100x|1, 5 and 10x|50 and 100x|5 and 10x|5, 10, 50 and 100x",

@@ -49,6 +49,19 @@ def host() -> dict[str, Plain]:
     return {"platform": platform.platform(), "cpu_model": _cpu_model(), "cores": usable_cores()}
 
 
+def gpu(device: str) -> dict[str, Plain]:
+    """Return a CUDA device's name and UUID, and the versions of CUDA and cuDNN; nothing for another device."""
+    if not device.startswith("cuda"):
+        return {}
+    import torch as th
+
+    if not th.cuda.is_available():
+        return {}
+    found = th.cuda.get_device_properties(device)
+    versions = {"cuda": th.version.cuda, "cudnn": th.backends.cudnn.version()}  # type: ignore[no-untyped-call]
+    return {"gpu": {"name": found.name, "uuid": str(found.uuid), **versions}}
+
+
 def version_of(package: str) -> str | None:
     """Return the version of an installed package; None for one that is not."""
     try:

@@ -4,6 +4,7 @@ A wheel has both folders inside the package; in a source tree, installed editabl
 """
 
 import json
+from functools import cache
 from importlib.metadata import PackageNotFoundError, distribution
 from importlib.resources import files
 from importlib.util import find_spec
@@ -52,11 +53,20 @@ def asset(name: str) -> Path:
     return _find("assets", name)
 
 
+def scene_file(name: str, said: str = "scene = ") -> Path:
+    """Return the MJCF file of a scene. Raises UserError for an unknown one, whose name it puts after `said`."""
+    known = {path.stem: path for path in sorted(_folder("assets").glob("mjcf/*.xml")) if path.stem != "quadrotor"}
+    if name not in known:
+        raise UserError(f"{said}{name}: is unknown; {suggestion(name, known)}")
+    return known[name]
+
+
 def experiment(name: str) -> Path:
     """Return the path of an experiment that ships, e.g. "dp1.yaml". Raises UserError if there is none of that name."""
     return _find("experiments", name)
 
 
+@cache
 def experiments() -> dict[str, str]:
     """Return the experiments that ship by name, as `uavaccel run` takes them, and what each is: its first comment."""
     texts = {path.stem: path.read_text("utf-8") for path in sorted(_folder("experiments").glob("*.yaml"))}

@@ -7,7 +7,6 @@ interrupted by Ctrl-C or SIGTERM.
 from __future__ import annotations
 
 import contextlib
-import gc
 import os
 import signal
 import sys
@@ -23,7 +22,7 @@ from uavaccel.cli.experiments import evaluate, run, train
 from uavaccel.cli.flights import export, fly, serve, watch
 from uavaccel.cli.machine import advise, bench, calibrate, certify, doctor, init, measure
 from uavaccel.errors import UsageError, UserError, mistake_of
-from uavaccel.processes.lifetime import lost_interrupts_repeated
+from uavaccel.processes.lifetime import collect_rarely, lost_interrupts_repeated
 from uavaccel.processes.stalls import guard_children
 
 PANELS: dict[str, tuple[Callable[..., None], ...]] = {
@@ -102,7 +101,7 @@ def surface(
 @lost_interrupts_repeated()
 def main(before: Sequence[str] = ()) -> None:
     """Run the command line, `before` and what was typed; a mistake is printed as one line, never as a traceback."""
-    gc.set_threshold(50_000, 20, 100)  # while libraries load it would take a fifth of the time
+    collect_rarely()
     words = [*before, *sys.argv[1:]]
     _open_closed_streams()
     signal.signal(signal.SIGTERM, _as_ctrl_c)

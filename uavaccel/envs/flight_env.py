@@ -118,7 +118,7 @@ class FlightEnv(gymnasium.Env[Observation, Action], Generic[TaskT]):
         try:
             now = self._fly(self._client, action)
         except RpcError as error:  # what the server refused of a goal
-            raise Functions(self.task).wrong("goal", str(error)) from error
+            raise Functions(self.task).wrong("goal", error.reason) from error
         self._switch(None)
         self._now = now._replace(course=self.task.advance(before, now))
         success = self.task.success(self._now)
@@ -266,7 +266,7 @@ class FlightEnv(gymnasium.Env[Observation, Action], Generic[TaskT]):
             started = session.start_game(task.clock_speed, latencies, lane=lane, height_m=height_m)
         except RpcError as error:
             task.lane_layout(course)  # raises UserError for what the server refused
-            raise Functions(task).wrong("altitude_m", str(error)) from error
+            raise Functions(task).wrong("altitude_m", error.reason) from error
         self._start_ns = started.now_ns()
         self._stopwatches = [Stopwatch(started.transport.clock)]
         if task.report_host_times:

@@ -149,10 +149,10 @@ class KernelBatch(TurnBatch):
     def step_wait(self, slots: Sequence[int] | None = None) -> Steps:
         """As `TurnBatch` has it. Raises UserError where no command was started."""
         which = np.arange(self.num_envs) if slots is None else np.asarray(slots)
-        flown = self._flying.pop(int(which[0]), None)
-        if flown is None:
+        flying = self._flying.pop(int(which[0]), None)
+        if flying is None:
             raise UserError("no command was started in these environments: step_async comes before step_wait")
-        for part in flown:
+        for part in flying:
             part.result()
         self._host_s[which] += (self._clock.now_ns() - self._begun_ns) / NS_PER_S / len(which)
         going = which[~self._over[which]]
@@ -161,7 +161,9 @@ class KernelBatch(TurnBatch):
         terminated, truncated = np.zeros(self.num_envs, bool), np.zeros(self.num_envs, bool)
         infos: dict[int, Info] = {}
         if len(going):
-            games, judged = self._judge.after(select(self._running, going), self._flown(going), self._asked[going])
+            flown = self._flown(going)
+            games, judged = self._judge.after(select(self._running, going), flown, self._asked[going])
+            games = games._replace(observations=self._judge.observe(games, flown))
             assign(self._running, going, games)
             rewards[going], terminated[going], truncated[going] = judged.reward, judged.terminated, judged.truncated
             infos = dict(zip(going.tolist(), self._infos(going, games, judged.success), strict=True))

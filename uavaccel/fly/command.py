@@ -30,7 +30,7 @@ from uavaccel.fly.options import (
 )
 from uavaccel.fly.script import INTERRUPTED
 from uavaccel.processes.lifetime import POLL_S, Patience, describe_end, remove_orphaned_files, start_python
-from uavaccel.resources import asset
+from uavaccel.resources import scene_file
 from uavaccel.units import CLOCK_SPEEDS
 
 HEED_S, END_S = 0.5, 5.0  # after an interruption: until the script has received it, and until it has ended
@@ -87,7 +87,7 @@ def _check_request(request: FlyRequest) -> None:
             raise UsageError(f"--{option} {seconds:g}: must be 0 to {MOST_SECONDS:g} s")
     if flight.seed is not None and not 0 <= flight.seed < MOST_SEEDS:
         raise UsageError(f"--seed {flight.seed}: must be 0 to {MOST_SEEDS - 1}")
-    asset(f"mjcf/{flight.scene}.xml")
+    scene_file(flight.scene, "--scene ")
     if not flight.script.is_file():
         raise UserError(f"{flight.script}: no such file")
     wall, out = flight.timing == "wall", request.out

@@ -136,14 +136,17 @@ def of_a_script(namespace: Mapping[str, object] | None) -> bool:
 
 
 def called_by_a_script(through: Collection[str] = sys.stdlib_module_names) -> bool:
-    """Return whether a script's file makes the present call, directly or `through` Python's own modules."""
+    """Return whether a script's file makes the present call, directly or `through` Python's own modules.
+
+    In a thread that a script has started, Python's own may be all there is, as in a server's.
+    """
     frame: FrameType | None = sys._getframe(1)
     while frame is not None:
         name = str(frame.f_globals.get("__name__"))
         if name.partition(".")[0] not in through and not name.startswith("uavaccel.fly"):
             return of_a_script(frame.f_globals)
         frame = frame.f_back
-    return False
+    return True
 
 
 Act = Callable[[ModuleType], None]

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import atexit
 import io
 import os
 import sys
 import traceback
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from types import CodeType, ModuleType, TracebackType
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -15,7 +17,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from uavaccel.clock import MonotonicClock
 from uavaccel.errors import UserError
 from uavaccel.files import read_bounded
-from uavaccel.fly.modules import Patches
+from uavaccel.fly.modules import Patches, called_by_a_script
 from uavaccel.units import NS_PER_S
 
 if TYPE_CHECKING:
@@ -108,14 +110,47 @@ def run_script(path: Path, arguments: tuple[str, ...], outlive: Callable[[], Non
     """
     code, clock, error = compiled(path), FlightOver.clock, None
     begun_ns = FlightOver.begun_ns = clock.now_ns()
-    try:
-        (status, error), finished = _run(code, path, arguments), True
-        outlive()
-    except FlightOver:
-        status, finished = 0, False
-    except KeyboardInterrupt:
-        status, finished = INTERRUPTED, False
+    with _still_flying_at_exit():
+        try:
+            (status, error), finished = _run(code, path, arguments), True
+            outlive()
+        except FlightOver:
+            status, finished = 0, False
+        except KeyboardInterrupt:
+            status, finished = INTERRUPTED, False
     return ScriptResult(status, finished, (clock.now_ns() - begun_ns) / NS_PER_S, error)
+
+
+@contextmanager
+def _still_flying_at_exit() -> Iterator[None]:
+    """At the end of the `with` block, call what the script has registered with `atexit`, which may still fly."""
+    register, unregister, acts = atexit.register, atexit.unregister, list[partial[object]]()
+
+    def register_for(function: Callable[..., object], /, *given: object, **named: object) -> Callable[..., object]:
+        if not called_by_a_script(()):
+            return register(function, *given, **named)
+        acts.append(partial(function, *given, **named))
+        return function
+
+    def unregister_for(function: Callable[..., object]) -> None:
+        acts[:] = [act for act in acts if act.func != function]
+        unregister(function)
+
+    with Patches() as patches:
+        patches.set(atexit, "register", register_for)
+        patches.set(atexit, "unregister", unregister_for)
+        yield
+    while acts:
+        act = acts.pop()
+        try:
+            act()
+        except (FlightOver, KeyboardInterrupt):
+            pass
+        except Exception as error:
+            hide_ours(error)
+            error.__traceback__ = error.__traceback__ and error.__traceback__.tb_next  # without this frame
+            print(f"Exception ignored in atexit callback: {act.func!r}", file=sys.stderr)
+            traceback.print_exception(error)
 
 
 def _run(code: CodeType, path: Path, arguments: tuple[str, ...]) -> tuple[int, str | None]:

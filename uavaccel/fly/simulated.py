@@ -14,7 +14,7 @@ from uavaccel.fly.environment import ended_by_refusals, refusal, script_environm
 from uavaccel.fly.log import INTERVAL_NS, MessageLog, filming, write_states
 from uavaccel.fly.options import THINK_S, FlightOptions, FlightSummary
 from uavaccel.fly.script import FlightOver, ScriptResult, run_script
-from uavaccel.fly.threads import SharedModules, ThreadModules, end_pools
+from uavaccel.fly.threads import OutsideEvents, SharedModules, ThreadModules, end_pools
 from uavaccel.fly.turns import TURN_POLL_NS, Turns
 from uavaccel.units import NS_PER_S
 
@@ -112,12 +112,14 @@ class SimulatedFlight:
         """Run the script in its environment. Raises UserError."""
         modules, options = ThreadModules(self._turns), self._options
         clock = time_module(self.epoch_now_ns, self.pass_time)
-        in_scripts = {"time": clock, "datetime": datetime_module(self.epoch_now_ns)} | modules.in_scripts()
+        outside = OutsideEvents(self._turns, clock)
+        in_scripts = {"time": clock, "datetime": datetime_module(self.epoch_now_ns)}
+        in_scripts |= modules.in_scripts() | outside.in_scripts()
         with self._stack as stack:
             environment = script_environment(self._connect, in_scripts, options, None, self._forked)
             patches, self._client = stack.enter_context(environment)
             stack.enter_context(ended_by_refusals(lambda: self._log.calls))
-            SharedModules(patches, self._turns, modules, clock)
+            SharedModules(patches, self._turns, modules, outside, clock)
             if options.film:
                 stack.enter_context(filming(self._world.simulation, options.folder))
             outcome = run_script(options.script, options.arguments, self._outlive)
@@ -250,9 +252,8 @@ class SimulatedFlight:
                 if event_ns is None:
                     event_ns = world.simulation.next_event_wall_ns()
                 expected_ns = now_ns + TURN_POLL_NS if event_ns is None else max(now_ns, event_ns)
-                self._turns.wait_until(
-                    earliest(expected_ns, self._until_ns) or now_ns
-                )  # another thread's time has come
+                wake_ns = earliest(expected_ns, self._until_ns) or now_ns
+                self._turns.wait_until(wake_ns, call.ended_early)  # another thread's time has come
         call.value = as_received(call.value)
         self._log.answer(number, call.reply_wall_ns or 0, call.error, call.value)
 

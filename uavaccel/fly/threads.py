@@ -111,8 +111,11 @@ class SharedModules:
     `clock` is the script's module `time`.
     """
 
-    def __init__(self, patches: Patches, turns: Turns, modules: ThreadModules, clock: ModuleType) -> None:
+    def __init__(
+        self, patches: Patches, turns: Turns, modules: ThreadModules, outside: OutsideEvents, clock: ModuleType
+    ) -> None:
         self._patches, self._turns, self._modules, self._clock = patches, turns, modules, clock
+        self._outside = outside
         waits = {name: getattr(clock, name) for name in ("monotonic", "sleep", "time")}
         self._stand_ins = {
             module: changed(module, **self._chosen(module, own))
@@ -120,13 +123,14 @@ class SharedModules:
         }
         for name in ("concurrent.futures._base", "asyncio.log"):
             patches.when_imported(name, self._leave_ends_unsaid)
-        for name in ("concurrent.futures._base", "concurrent.futures.thread", "asyncio.base_events"):
+        for name in ("concurrent.futures._base", "concurrent.futures.thread", "asyncio.base_events", "socketserver"):
             patches.when_imported(name, self._change)
         patches.when_imported("concurrent.futures.process", self._wait_for_the_machine)
         patches.when_imported("multiprocessing.dummy", self._change_dummy)
         patches.when_imported("multiprocessing.pool", self._change_pool)
         patches.when_imported("asyncio.selector_events", self._change_loops)
         patches.when_imported("socket", self._change_sockets)
+        patches.when_imported("socketserver", self._change_servers)
         waiting = tuple(getattr(clock, name) for name in ("monotonic", "sleep"))
         patches.when_imported("sched", lambda module: patches.set(module.scheduler.__init__, "__defaults__", waiting))
 
@@ -175,16 +179,20 @@ class SharedModules:
     def _change_loops(self, module: ModuleType) -> None:
         """Put the event loops of asyncio.selector_events that a script makes on its clock."""
         original: Callable[..., None] = module.BaseSelectorEventLoop.__init__
-        turns, clock = self._turns, self._clock
+        turns, outside = self._turns, self._outside
 
         def init(loop: asyncio.BaseEventLoop, selector: selectors.BaseSelector | None = None) -> None:
             if not self._is_for_a_script():
                 return original(loop, selector)
             loop.time = lambda: turns.now_ns() / NS_PER_S  # type: ignore[method-assign]
-            selector = selector or selectors.DefaultSelector()
-            return original(loop, SimulatedSelector(selector, turns, clock.monotonic))
+            return original(loop, selector or outside.selectors.DefaultSelector())
 
         self._patches.set(module.BaseSelectorEventLoop, "__init__", init)
+
+    def _change_servers(self, module: ModuleType) -> None:
+        """Let a script's other threads run while one serves, as a web page does."""
+        original, own = vars(module)["_ServerSelector"], self._outside.selectors.PollSelector
+        self._patches.set(module, "_ServerSelector", lambda: (own if self._is_for_a_script() else original)())
 
     def _change_sockets(self, module: ModuleType) -> None:
         """Let a script's other threads run while one waits for data on a socket; its time-out is simulated."""
@@ -224,37 +232,66 @@ class SharedModules:
         self._patches.set(module, "_base", changed(module._base, Future=Future))
 
 
-class SimulatedSelector:
-    """The selector in which an event loop waits; `poll` charges what reading the clock costs.
+class OutsideEvents:
+    """The modules `select` and `selectors` for scripts; `clock` is their module `time`.
 
-    Data on sockets and pipes arrive in the machine's time: they are waited for when nothing else can continue.
+    Time-outs are simulated. Data on sockets and pipes arrive in the machine's time: they are waited for when nothing
+    else can continue.
     """
 
-    def __init__(self, selector: selectors.BaseSelector, turns: Turns, poll: Callable[[], object]) -> None:
-        self._selector, self._turns, self._poll = selector, turns, poll
+    def __init__(self, turns: Turns, clock: ModuleType) -> None:
+        self._turns, self._clock = turns, clock
         self._stood_ns, self._turns_since = 0, 0
+        wait = self.wait
 
-    def select(self, timeout: float | None = None) -> list[tuple[selectors.SelectorKey, int]]:
-        ready: list[tuple[selectors.SelectorKey, int]] = []
+        def selector(kind: Any) -> type:
+            def waiting(own: Any, timeout: float | None = None) -> Any:
+                return wait(lambda wait_s: kind.select(own, wait_s), timeout)
+
+            return type(kind.__name__, (kind,), {"select": waiting})
+
+        def select_for(readable: Any, writable: Any, exceptional: Any, timeout: float | None = None, /) -> Any:
+            return wait(lambda wait_s: select.select(readable, writable, exceptional, wait_s), timeout)
+
+        def poll() -> SimpleNamespace:
+            polled = select.poll()
+
+            def waiting(timeout_ms: float | None = None) -> Any:
+                timeout_s = None if timeout_ms is None or timeout_ms < 0 else timeout_ms / 1e3
+                return wait(lambda wait_s: polled.poll(None if wait_s is None else wait_s * 1e3), timeout_s)
+
+            registry = {name: getattr(polled, name) for name in ("register", "modify", "unregister")}
+            return SimpleNamespace(poll=waiting, **registry)
+
+        kinds = ("SelectSelector", "PollSelector", "EpollSelector", "DefaultSelector")
+        self.selectors = changed(selectors, **{name: selector(getattr(selectors, name)) for name in kinds})
+        self.select = changed(select, select=select_for, poll=poll)
+
+    def in_scripts(self) -> dict[str, ModuleType]:
+        return {"select": self.select, "selectors": self.selectors}
+
+    def wait(self, look: Callable[[float | None], Any], timeout_s: float | None) -> Any:
+        """Return what `look`, which takes the seconds to wait, finds ready; nothing after the time-out."""
+        if not self._turns.simulated or not self._turns.is_mine():
+            return look(timeout_s)
+        found: Any = ()
 
         def happened() -> bool:
-            ready[:] = self._selector.select(0)
-            return bool(ready)
+            nonlocal found
+            found = look(0.0)
+            return any(found)
 
-        if timeout is not None and timeout <= 0:
+        if timeout_s is not None and timeout_s <= 0:
             now_ns = self._turns.now_ns()
             self._turns_since = self._turns_since + 1 if now_ns == self._stood_ns else 0
             if self._turns_since > FREE_TURNS:
-                self._poll()
+                self._clock.monotonic()  # which costs time
             self._stood_ns = self._turns.now_ns()
             self._turns.wait_until(self._stood_ns)
             happened()
         else:
-            self._turns.until(happened, timeout, lambda: self._selector.select(None))
-        return ready
-
-    def __getattr__(self, name: str) -> object:
-        return getattr(self._selector, name)
+            self._turns.until(happened, timeout_s, lambda: look(None))
+        return found
 
 
 def _is_no_end(record: logging.LogRecord) -> bool:

@@ -60,6 +60,7 @@ class Turns:
         self._threads = {threading.get_ident()}
         self._strangers = WeakSet(threading.enumerate())  # threads older than the script do nothing for it
         self.running: list[Thread] = []
+        self.simulated = True  # no longer so in a forked process
 
     def now_ns(self) -> int:
         return self._clock.now_ns()
@@ -79,9 +80,9 @@ class Turns:
                 "a library's thread calls the simulation; on a simulated clock the script's own may: --timing wall"
             )
 
-    def wait_until(self, wall_ns: int) -> None:
-        """Let other threads run until it is the caller's turn again, at `wall_ns` or later."""
-        self._wait(self.announce(wall_ns))
+    def wait_until(self, wall_ns: int, happened: Callable[[], bool] | None = None) -> None:
+        """Let other threads run until it is the caller's turn again, at `wall_ns` or later, or once it has happened."""
+        self._wait(self.announce(wall_ns, happened))
 
     def until(
         self, happened: Callable[[], bool], timeout_s: float | None = None, outside: Callable[[], object] | None = None
@@ -106,10 +107,10 @@ class Turns:
             raise RuntimeError("this would wait for ever: no other thread of the script runs")
         return False
 
-    def announce(self, wall_ns: int | None = None) -> Turn:
-        """Queue a thread that waits for a time, or for its first turn."""
+    def announce(self, wall_ns: int | None = None, happened: Callable[[], bool] | None = None) -> Turn:
+        """Queue a thread that waits for a time, for an event, or for its first turn."""
         self._order += 1
-        turn = Turn(self.now_ns() if wall_ns is None else wall_ns, self._order)
+        turn = Turn(self.now_ns() if wall_ns is None else wall_ns, self._order, happened)
         self._waiting.append(turn)
         return turn
 
@@ -125,7 +126,7 @@ class Turns:
 
     def forked(self, clock: WallClock) -> None:
         """In a forked process, go on with its only thread on another clock."""
-        self._clock, self._limit_ns = clock, inf
+        self._clock, self._limit_ns, self.simulated = clock, inf, False
         self._waiting.clear()
         self.running.clear()
         self._threads = {threading.get_ident()}

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import cached_property
-from importlib.util import find_spec
+from importlib import import_module
 from pathlib import Path
 from typing import Any, ParamSpec, Protocol, TypeVar, overload
 from uuid import uuid4
@@ -30,6 +30,12 @@ from numba.np import linalg
 
 P = ParamSpec("P")
 R = TypeVar("R", covariant=True)
+
+# numba asks for SciPy's BLAS when it loads its functions on arrays, which takes a quarter of a second, and again where
+# one of them needs it.
+_ask, linalg.ensure_blas = linalg.ensure_blas, lambda: None
+import_module("numba.np.arraymath")
+linalg.ensure_blas = _ask
 
 
 class Compiled(Protocol[P, R]):
@@ -204,23 +210,6 @@ def times(a: Real, b: Real) -> Real:
 def _on_cpu(a, b):  # type: ignore[no-untyped-def]  # numba compares its signature with the lambda's
     return lambda a, b: a * b
 
-
-# --- numba's own start ----------------------------------------------------------------------------------------------
-
-
-def load_without_scipy() -> None:
-    """Load numba's array functions without SciPy's linear algebra, which takes a sixth of the start of a flight.
-
-    numba loads it there only to see whether it could be called; where it is called, it is loaded still.
-    """
-    ensure_blas, linalg.ensure_blas = linalg.ensure_blas, lambda: None
-    from numba.np import arraymath
-
-    linalg.ensure_blas = arraymath.ensure_blas = ensure_blas
-    arraymath._HAVE_BLAS = find_spec("scipy") is not None
-
-
-load_without_scipy()
 
 # --- code on disk ---------------------------------------------------------------------------------------------------
 

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from uavaccel.errors import UserError
-from uavaccel.resources import asset
+from uavaccel.resources import asset, scene_file
 
 PLAIN = "plain"  # the scenery of assets/mjcf/NAME.xml; others have a folder there
 QUADROTOR = "quadrotor"
@@ -33,7 +33,7 @@ NEAR_M, FAR_M = 0.05, 20_000.0  # clipping planes
 
 def scene_path(scene: str, scenery: str = PLAIN) -> Path:
     """Return the file of a scene in a scenery. Raises UserError if there is none."""
-    plain = asset(f"mjcf/{scene}.xml")
+    plain = scene_file(scene)
     path = plain if scenery == PLAIN else plain.parent / scenery / plain.name
     if not path.is_file():
         raise UserError(f"scenery = {scenery}: the scene {scene} has none of that name")

@@ -187,8 +187,9 @@ class Evaluation(Suite[EvaluateConfig, Game]):
             check_flyable(config.task, 1, config.device)
 
     def cases(self, config: EvaluateConfig) -> Iterator[Game]:
+        timing, typical_s = config.task.timing, config.task.typical_s
         for lane in range(config.first_lane, config.first_lane + config.games):
-            yield Game(case_of(lane, config.env_id == LANE), config.task.timing, config.task.typical_s, lane)
+            yield Game(case_of(lane, config.env_id == LANE), timing, typical_s, lane)
 
     def may_grow(self, folder: Path) -> tuple[str, ...]:
         return ("games",)
@@ -228,7 +229,7 @@ class Evaluation(Suite[EvaluateConfig, Game]):
         """Return the policy's hash and the simulator. Raises UserError for unreadable weights or a missing device."""
         check_simulator(config.simulator, config.device)
         make_agent(config.agent, config.task)  # the weights too: nothing is written yet
-        by = {"simulator": config.simulator, "device": config.device}
+        by = {"simulator": config.simulator, "device": config.device, **super().provenance(config)}
         return {"policy_sha256": origin_of(config.agent).sha256(), **by}
 
     def status(self, rows: Sequence[Row]) -> str:

@@ -367,7 +367,7 @@ class PolicyGrid(SuiteOfRuns[Any, Point]):
         return self.runs(config, next(self.points(config)))[0]
 
     def cases(self, config: Any) -> Iterator[Point]:
-        typical_s = self.typical_s(config, next(self.points(config)))
+        typical_s = self.size(config, next(self.points(config)))[1]
         return (replace(point, typical_s=typical_s) for point in self.points(config))
 
     def provenance(self, config: Any) -> Mapping[str, object]:
@@ -485,7 +485,7 @@ class Sweep(PolicyGrid):
         for point, evaluation in [trained, *departed]:
             if point.id not in same:
                 labels = {**point.labels, "same": same if point.id == AS_TRAINED else []}
-                timing, typical_s = experiment.timing_of(evaluation), self.typical_s(config, point)
+                timing, typical_s = experiment.timing_of(evaluation), self.size(config, point)[1]
                 yield replace(point, timing=timing, typical_s=typical_s, labels=labels)
 
     def why_serial(self, config: SweepConfig) -> str:

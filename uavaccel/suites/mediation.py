@@ -183,7 +183,7 @@ class Mediation(SuiteOfRuns[MediationConfig, PolicyCase]):
         sizes: dict[str, float] = {}
         for case in self.policies_of(config):
             if case.policy not in sizes:
-                sizes[case.policy] = self.typical_s(config, case)
+                sizes[case.policy] = self.size(config, case)[1]
             yield replace(case, typical_s=sizes[case.policy])
 
     def parts(self, config: MediationConfig, case: PolicyCase, agent: str) -> dict[str, Part]:

@@ -101,7 +101,7 @@ class Paper(SuiteOfRuns[PaperConfig, SimpleCase]):
     def cases(self, config: PaperConfig) -> Iterator[SimpleCase]:
         for name in config.parts:
             case = SimpleCase(name, "virtual", 0.0)
-            yield replace(case, typical_s=self.typical_s(config, case))
+            yield replace(case, typical_s=self.size(config, case)[1])
 
     def runs(self, config: PaperConfig, case: SimpleCase) -> list[Run]:
         return [config.parts[case.id].resolve(config.seed)]

@@ -66,21 +66,27 @@ class SuiteOfRuns(Suite[ConfigType, CaseType]):
     def runs(self, config: ConfigType, case: CaseType) -> Sequence[Run]:
         """Return the runs of a case. Raises UserError for invalid ones."""
 
-    def typical_s(self, config: ConfigType, case: CaseType) -> float:
-        """Estimate the simulated seconds of the runs of a case."""
-        return sum(game.simulated_s() for suite, run in self.runs(config, case) for game in suite.cases(run))
+    def size(self, config: ConfigType, case: CaseType) -> tuple[int, float]:
+        """Count the games of the runs of a case, and estimate their simulated seconds."""
+        games, seconds = 0, 0.0
+        for suite, run in self.runs(config, case):
+            for game in suite.cases(run):
+                games += suite.games(run, game)
+                seconds += game.simulated_s()
+        return games, seconds
 
     def games(self, config: ConfigType, case: CaseType) -> int:
-        return sum(suite.games(run, game) for suite, run in self.runs(config, case) for game in suite.cases(run))
+        return self.size(config, case)[0]
 
     def renders(self, config: ConfigType) -> bool:
         return any(suite.renders(run) for case in self.cases(config) for suite, run in self.runs(config, case))
 
     def provenance(self, config: ConfigType) -> Mapping[str, object]:
         """Check that this machine has the devices of the first case, the last run of each suite. Raises UserError."""
+        found: dict[str, object] = {}
         for suite, run in {run[0].name: run for run in self.runs(config, next(self.cases(config)))}.values():
-            suite.provenance(run)
-        return {}
+            found |= {key: value for key, value in suite.provenance(run).items() if key == "gpu"}
+        return found
 
     @contextmanager
     def open(self, config: ConfigType, timing: str, run: RunDirectory) -> Iterator[RunDirectory]:

@@ -6,12 +6,14 @@ Custom suites are named "module:name" (own_code.py).
 from __future__ import annotations
 
 import copy
+import json
 import re
 from collections.abc import Iterable, Mapping
+from hashlib import sha256
 from importlib import import_module
 from pathlib import Path
 
-from uavaccel.config import apply_overrides, assign, load_yaml, validate
+from uavaccel.config import Config, apply_overrides, assign, load_yaml, validate
 from uavaccel.errors import UserError, suggestion
 from uavaccel.files import Plain
 from uavaccel.forms import RowForm
@@ -58,6 +60,24 @@ def read_mapping(name: str) -> tuple[dict[str, Plain], str]:
         what = "a run, which --report computes again" if is_run else suggestion(name, known)
         raise UserError(f"{name}: no such experiment; {what}")
     return load_yaml(experiment(f"{name}.yaml")), f"{name}.yaml"
+
+
+def experiments_in(config: Config) -> dict[str, Plain]:
+    """Return a hash of each experiment that a configuration names as its part, and of those that these name."""
+    found: dict[str, Plain] = {}
+
+    def look(value: object) -> None:
+        if isinstance(value, Mapping):
+            if isinstance(name := value.get("experiment"), str) and name not in found:
+                mapping, _ = read_mapping(name)
+                found[name] = sha256(json.dumps(mapping, sort_keys=True, default=str).encode()).hexdigest()
+                look(mapping)
+            value = [*value.values()]
+        for each in value if isinstance(value, list | tuple) else ():
+            look(each)
+
+    look(config.model_dump())
+    return found
 
 
 def is_file(name: str) -> bool:

@@ -238,7 +238,7 @@ class Rl(SuiteOfRuns[RlConfig, TrainingCase]):
                 name = "-".join(filter(None, (*kind, f"seed{seed}", OF_EXACT if exact else "")))
                 case = TrainingCase(name, "virtual", 0.0, *cell, seed, exact)
                 if (exact, *kind) not in sizes:
-                    sizes[exact, *kind] = super().games(config, case), self.typical_s(config, case)
+                    sizes[exact, *kind] = self.size(config, case)
                 games, typical_s = sizes[exact, *kind]
                 yield replace(case, games=games, typical_s=typical_s)
 

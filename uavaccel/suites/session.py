@@ -22,7 +22,16 @@ from uavaccel.processes.workers import LOKY
 from uavaccel.records import RunDirectory, refuse_other_config, timing_provenance
 from uavaccel.suites.experiment import Experiment, timing_of
 from uavaccel.suites.keys import KEYS
-from uavaccel.suites.registry import configuration, find_suite, is_file, is_task, merged, read_mapping, suite_of
+from uavaccel.suites.registry import (
+    configuration,
+    experiments_in,
+    find_suite,
+    is_file,
+    is_task,
+    merged,
+    read_mapping,
+    suite_of,
+)
 from uavaccel.suites.runner import cases_of, check_jobs, run_suite, start_run
 from uavaccel.suites.suite import AnySuite, Case, OnGame
 
@@ -217,8 +226,16 @@ def planned(request: RunRequest) -> Iterator[Plan]:
         begun = request.resume and (out / "config.yaml").is_file()
         if begun:
             refuse_other_config(out, config, suite.may_grow(out))
+            _refuse_other_experiments(out, config)
         flown = RunDirectory(out).done_cases() if begun else set()
         yield Plan(suite, config, cases, [case for case in cases if case.id not in flown], out, request)
+
+
+def _refuse_other_experiments(out: Path, config: Experiment) -> None:
+    """Raise UserError if an experiment that is a part of a run has changed since that was begun."""
+    first, now = RunDirectory(out).manifest().get("experiments", {}), experiments_in(config)
+    if changed := [name for name, digest in first.items() if now.get(name, digest) != digest]:
+        raise UserError(f"{out}: {changed[0]} has changed since the run was begun: restore it, or take another --out")
 
 
 def manifest_of(suite: AnySuite, config: Experiment, say: Callable[[str], object]) -> dict[str, Plain]:
@@ -232,6 +249,8 @@ def manifest_of(suite: AnySuite, config: Experiment, say: Callable[[str], object
         say(f"renderer: {name}{' (software)' if renderer.software else ''}")
     manifest = describe_run(sys.argv, config.seed, calendar_time(), gl_renderer=name)
     manifest.update(suite.provenance(config))
+    if named := experiments_in(config):
+        manifest["experiments"] = named
     if timing_of(config) == "wall":
         manifest["host_check"] = check_machine()
         say(f"machine check: {manifest['host_check']['verdict']}")

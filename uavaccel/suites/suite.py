@@ -19,6 +19,7 @@ from uavaccel.draw.page import Block, Table
 from uavaccel.errors import UserError, suggestion
 from uavaccel.files import Plain
 from uavaccel.forms import ArrayForm, RowForm
+from uavaccel.machine import gpu
 from uavaccel.records import RunDirectory
 from uavaccel.suites.experiment import Experiment, GameRow, Row
 
@@ -219,8 +220,8 @@ class Suite(ABC, Generic[ConfigType, CaseType]):
         """Raise UserError for mistakes that only other files or classes reveal; called before anything is written."""
 
     def provenance(self, config: ConfigType) -> Mapping[str, object]:
-        """Return what the manifest has beside versions, host and renderer."""
-        return {}
+        """Return what the manifest has beside versions, host and renderer; of its device here."""
+        return gpu(str(getattr(config, "device", "cpu")))
 
     def status(self, rows: Sequence[Row]) -> str:
         """Return a few words for the progress display."""

@@ -180,8 +180,9 @@ class Training(Suite[TrainConfig, SimpleCase]):
             first_policy(config)
 
     def cases(self, config: TrainConfig) -> Iterator[SimpleCase]:
+        timing, typical_s = config.task.timing, config.task.typical_s
         for game in range(config.games):  # lane and environment of each come out of the training
-            yield SimpleCase(game_case(game), config.task.timing, config.task.typical_s)
+            yield SimpleCase(game_case(game), timing, typical_s)
 
     def may_grow(self, folder: Path) -> tuple[str, ...]:
         """More games can be flown where there is a checkpoint to resume from."""
@@ -235,7 +236,7 @@ class Training(Suite[TrainConfig, SimpleCase]):
             except (RuntimeError, AssertionError) as error:
                 raise UserError(f"device = {config.device!r}: {str(error).splitlines()[0]}") from error
         started = {} if config.start_from is None else {"start_from_sha256": origin_of(config.start_from).sha256()}
-        return {"torch_threads": config.torch_threads, **started}
+        return {"torch_threads": config.torch_threads, **started, **super().provenance(config)}
 
     def status(self, rows: Sequence[Row]) -> str:
         recent = [row["is_success"] for row in rows[-RECENT:]]

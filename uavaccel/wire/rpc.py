@@ -36,7 +36,11 @@ Call = TypeVar("Call")
 
 
 class RpcError(Exception):
-    """A failed call; its text is the client's error."""
+    """A failed call; its text is the client's error, in rpclib's words, and `reason` why it was refused."""
+
+    @property
+    def reason(self) -> str:
+        return str(self).rpartition("contained this information: ")[2].removesuffix(".")
 
 
 class ServerGoneError(ConnectionError):

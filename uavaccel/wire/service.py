@@ -21,6 +21,7 @@ from pathlib import Path
 from uavaccel.clock import MonotonicClock
 from uavaccel.errors import UserError
 from uavaccel.processes.lifetime import end_with_parent
+from uavaccel.resources import scene_file
 from uavaccel.sim.profile import PROFILES, Profile
 from uavaccel.sim.simulation import Simulation, Speed
 from uavaccel.sim.world import World
@@ -135,6 +136,7 @@ def api_of(options: ServeOptions, settings: Settings) -> Api:
             raise UserError(f"ClockSpeed must be at most {FASTEST:g}, not {speed:g}")
     if options.profile not in PROFILES:
         raise UserError(f"--profile {options.profile}: there are {', '.join(PROFILES)}")
+    scene_file(options.scene, "--scene ")
     with naming_settings(options.settings):
         profile = settings.recorder_of(PROFILES[options.profile])
     simulation = ready_simulation(options.scene, profile, speed, airsim=True)

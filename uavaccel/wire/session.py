@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from uavaccel.clock import VirtualClock, positive_clock_speed
 from uavaccel.errors import UserError
 from uavaccel.kinematics import FlightGoal, Kinematics, VelocityGoal, airsim_command
-from uavaccel.resources import asset
+from uavaccel.resources import scene_file
 from uavaccel.sim.camera.view import HEIGHT, WIDTH, AnyImage
 from uavaccel.sim.profile import PROFILES, Profile
 from uavaccel.sim.recording import Recording
@@ -298,7 +298,7 @@ def open_session(
     for name, value, known in (("timing", timing, TIMINGS), ("profile", profile, PROFILES)):
         if value not in known:
             raise UserError(f"{name} = {value!r} is unknown; there are {', '.join(known)}")
-    asset(f"mjcf/{scene}.xml")  # an unknown scene raises here, and not in the server's process
+    scene_file(scene)  # an unknown scene raises here, and not in the server's process
     if timing == "wall":
         return WallSession(scene, profile)
     return VirtualSession(scene, profile, latency if timing == "virtual" else ZERO_LATENCY)

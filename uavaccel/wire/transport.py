@@ -120,6 +120,10 @@ class PendingCall:
             return self.sent_ns
         return self.expected_ns if self.channel == "continue_for" else None
 
+    def ended_early(self) -> bool:
+        """Return whether a later call, such as a new command, has ended what nobody has waited for to its end."""
+        return self.deferred is not None and self.deferred.due_wall_ns is not None and self.reply_wall_ns is None
+
     def result(self) -> Received:
         """Return the value of the reply. Raises rpc.RpcError with the server's text."""
         if self.error is not None:
