@@ -8,7 +8,7 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import nullcontext
+from contextlib import contextmanager
 from functools import partial
 from importlib import import_module
 from types import ModuleType
@@ -45,17 +45,24 @@ class Plan(NamedTuple):
     sensor: Any
 
 
-class AtOnce:
-    """`SideStream` of a device that does at once what it is told."""
+class Late:
+    """`SideStream` of a device that does nothing on it before the current one waits for it: as late as one can be."""
+
+    current: list[Callable[[], None]] | None = None
 
     def __init__(self, priority: int = 0) -> None:
-        pass
+        self._left: list[Callable[[], None]] = []
 
-    def following(self) -> Any:
-        return nullcontext()
+    @contextmanager
+    def following(self) -> Iterator[None]:
+        Late.current = self._left
+        yield
+        Late.current = None
 
     def join(self) -> None:
-        pass
+        for run in self._left:
+            run()
+        self._left.clear()
 
 
 class Immediate:
@@ -66,11 +73,17 @@ class Immediate:
 
 
 def launch(run: Callable[..., None]) -> Any:
-    """`kernel[grid](...)` runs."""
+    """`kernel[grid](...)` runs, on the present stream."""
+
+    def start(*arguments: Any) -> None:
+        if Late.current is None:
+            run(*arguments)
+        else:
+            Late.current.append(partial(run, *arguments))
 
     class Launch:
         def __getitem__(self, grid: Any) -> Callable[..., None]:
-            return run
+            return start
 
     return Launch()
 
@@ -146,11 +159,17 @@ class Kernels:
             self._levels[lane] = self._scratch.channels[0].sum()
             cpu.start(lane, self._picture, pixels, plan.sensor, games.cameras[now.game[lane]])
 
-    def run_see_noise(
-        self, which: Any, tick_ns: int, take: int, faces: Any, shown: Any, plan: Any, *of_lanes: Any
-    ) -> None:
+    def run_see(self, which: Any, take: int, faces: Any, shown: Any, plan: Any, *of_lanes: Any) -> None:
+        self._see(which, 1, take, True, plan, *of_lanes)
+
+    def run_see_noise(self, which: Any, tick_ns: int, take: int, faces: Any, shown: Any, *of_lanes: Any) -> None:
+        self._see(which, tick_ns, take, False, *of_lanes)
+
+    def _see(self, which: Any, tick_ns: int, take: int, plain: bool, plan: Any, *of_lanes: Any) -> None:
         games, now, pixels, frames = of_lanes
         for lane in which:
+            if events.is_plain(games.cameras[now.game[lane]], pixels.filtered.size) != plain:
+                continue
             if take:
                 frames[lane] = 128
             if lanes.touched(lane, now):
@@ -227,7 +246,7 @@ class Kernels:
     def run_nothing(self, which: Any, *_: Any) -> None:
         """What draws, or sees, does."""
 
-    run_project = run_find = run_finish = run_see = run_look = run_nothing
+    run_project = run_find = run_finish = run_look = run_nothing
 
 
 def shared(tensor: th.Tensor, dtype: Any = None) -> Any:
@@ -264,7 +283,7 @@ def host_kernels(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """`CudaLanes` and `CudaBatch` on "cpu"."""
     module = ModuleType(NAME)
     functions = {"shared": shared, "on_device": on_device, "stream": lambda: None, "__getattr__": _size}
-    module.__dict__.update(functions, Plan=Plan, SideStream=AtOnce, compiled=lambda nominal: Kernels())
+    module.__dict__.update(functions, Plan=Plan, SideStream=Late, compiled=lambda nominal: Kernels())
     monkeypatch.setitem(sys.modules, NAME, module)
     monkeypatch.setattr(uavaccel.kernels, "cuda", module, raising=False)
     monkeypatch.setattr(th.cuda, "Event", Immediate)

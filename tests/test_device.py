@@ -32,13 +32,14 @@ def test_no_graph_is_replayed_before_its_recording_is_over(monkeypatch: pytest.M
     said: list[str] = []
 
     @contextmanager
-    def graph(_: object) -> Iterator[None]:
+    def graph(_: object, stream: object) -> Iterator[None]:
         said.append("record")
         yield
         said.append("end")
 
     monkeypatch.setattr(th.cuda, "CUDAGraph", type("Graph", (), {"replay": lambda _: said.append("replay")}))
     monkeypatch.setattr(th.cuda, "graph", graph)
+    monkeypatch.setattr(th.cuda, "Stream", lambda priority: None)
     monkeypatch.setattr(th.cuda, "synchronize", lambda: said.append("wait"))
     work = recorded(lambda: said.append("work"), th.device("cuda"))
     for _ in range(4):

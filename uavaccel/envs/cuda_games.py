@@ -41,13 +41,17 @@ class LaneGames:
     `rows` is a kernels/lanes.Games of tensors, K rows a lane, and `arrays` the same memory for kernels. `starts` holds
     the games' courses, `conditions` what was sampled for them (NaN for what was not), `keys` the task's numbers under
     these, and `scales` the factors on their latencies, a row each. Lanes have `begun` games (L,) so far; `label` (L,)
-    int64 is what the running game is found by afterwards.
+    int64 is what the running game is found by afterwards. `one_camera`: all games have the task's own.
     """
+
+    one_camera = False
 
     def __init__(self, task: Task, count: int, device: th.device, rows_a_lane: int) -> None:
         self.maker = GameMaker(task)
         self.count, self.device = count, device
         self._host = self.maker.rows(count * rows_a_lane)
+        self.rows: Any
+        self.arrays: Any
         self.scales = th.ones(count * rows_a_lane, dtype=th.float64, device=device)
         self.begun = th.zeros(count, dtype=th.int64, device=device)
         self.starts: dict[str, Any] = {}
@@ -89,6 +93,8 @@ def games_of(task: Task, count: int, device: th.device) -> Dealt | SampledAhead:
 
 class Dealt(LaneGames):
     """Games of the obstacle lane that a kernel samples when they are needed; lane i flies row i."""
+
+    one_camera = True
 
     def __init__(self, task: Task, count: int, device: th.device) -> None:
         super().__init__(task, count, device, 1)

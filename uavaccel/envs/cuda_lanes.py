@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import torch as th
 
-from uavaccel.envs.arrays import assign_where, joined, mapped, named_leaves, one_of, select, stacked
+from uavaccel.envs.arrays import assign_where, each_of, joined, mapped, named_leaves, select, stacked
 from uavaccel.envs.cuda_clocks import DeviceClocks
 from uavaccel.envs.cuda_games import games_of
 from uavaccel.envs.cuda_view import view_of
@@ -67,7 +67,7 @@ class CudaLanes:
         self.now, self._now_arrays = kernels.on_device(lanes.flights(count), device)
         self._tick_ns = profile_of(task).tick_ns
         self._threads = kernels.threads_a_lane(count, device)
-        self.view = view_of(task, self.games.maker, count, device, self.games.arrays, self._now_arrays, self._tick_ns)
+        self.view = view_of(task, self.games, self._now_arrays, self._tick_ns)
         self.kind = self.view.kind
         self.judge = Judge(task, self.games.maker.surroundings, self._tick_ns, since_ns_of(task))
         self.clocks: DeviceClocks | None = None
@@ -152,17 +152,20 @@ class CudaLanes:
             self.clocks.begin(self._renewed, self._rows, self.games.scales, self.games.arrays)
         first = self._first_pictures()
         if self.clocks is not None:
+            self._render_stream.join()
             self.clocks.show_start(self._renewed)
         for numbers in (self._wall_ns, self.returns):
             numbers.copy_(th.where(renewed, 0, numbers))
         begun = self.judge.begun(starts, self._flight[:, 1 : 1 + KINEMATICS], first)
         assign_where(self.running, renewed, begun)
+        self._render_stream.join()
         self.going.copy_(self.going | self._renewed)
 
     def _first_pictures(self) -> th.Tensor | None:
         """Return pictures (L, ...) of the starts of games that begin, None where they are not observed."""
         if self.kind == DVS:
-            self.view.start(self._renewed)
+            with self._render_stream.following():
+                self.view.start(self._renewed)
         elif self.kind != STATE and (self.task.sees_start or (self.clocks is not None and self.clocks.guards)):
             frames = th.zeros_like(self._pictures[0])
             self.view.show(self._renewed, frames)  # for the guard, even if the task does not observe it
@@ -196,7 +199,10 @@ class CudaLanes:
             self.clocks.charge(flown.long() * round(duration_s * NS_PER_S), phase)
 
     def _fly_together(self) -> list[th.Tensor]:
-        """Fly the same ticks in all lanes, and return the samples' states (L, KINEMATICS)."""
+        """Fly the same ticks in all lanes, and return the samples' states (L, KINEMATICS).
+
+        The last pictures may still be rendered on the stream for it.
+        """
         states: list[th.Tensor] = []
         if self._mediated:
             self._fly_gap()
@@ -213,7 +219,6 @@ class CudaLanes:
                     with self._render_stream.following():
                         self.view.render(self.going, self._pictures[sample], now=now)
             states.append(self._flight[:, 1 : 1 + KINEMATICS].clone())
-        self._render_stream.join()
         return states
 
     def _fly_gap(self) -> None:
@@ -274,7 +279,10 @@ class CudaLanes:
     # --- after it ---------------------------------------------------------------------------------
 
     def _finish_commands(self, states: Sequence[th.Tensor]) -> None:
-        """Judge the commands, update the games, and with `renews` begin the next ones."""
+        """Judge the commands, update the games, and with `renews` begin the next ones.
+
+        All that pictures do not decide is computed while the last of them are rendered.
+        """
         going, counts = self.going.bool(), self.games.rows.counts[self.now.game].long()
         solids = self.now.watch[:, TOUCHED]
         numbers, position_m, collision = self.judge.end(self._flight, self._ticks_of, solids, counts)
@@ -282,7 +290,7 @@ class CudaLanes:
         pictures = self._pictures.transpose(0, 1)
         flown = Flown(numbers, tick, position_m, collision, ticks, taken, th.stack([*states], 1), pictures)
         after, judged = self.judge.after(self.running, flown, self._actions)
-        assign_where(self.running, going, after)
+        assign_where(_but_seen(self.running), going, _but_seen(after))
         self.rewards.copy_(th.where(going, judged.reward, 0.0))
         self.success.copy_(judged.success & going)
         self.terminated.copy_(judged.terminated & going)
@@ -291,8 +299,11 @@ class CudaLanes:
         over = self.terminated | self.truncated
         self._write_outcomes(over)
         if self.reports:
-            mapped(th.Tensor.copy_, self.final_observations, self.observations)
             self.final_info = self._report()
+        self._render_stream.join()
+        assign_where(self.observations, going, self.judge.observe(after, flown))
+        if self.reports:
+            mapped(th.Tensor.copy_, self.final_observations, self.observations)
         self.going.copy_((going & ~over).byte())
         if self.renews:
             self.renew(self.going == 0)
@@ -376,10 +387,15 @@ class CudaLanes:
             stacked([found.own_course]), numbers, commands, place, collision, commands, commands, commands, numbers
         )
         times_ns = whole[:, AT.wall_ns], row[:, AT.phase_ns :]
-        info = one_of(self.judge.infos(games, row[:, AT.success] > 0.0, *times_ns), 0)
+        info = each_of(self.judge.infos(games, row[:, AT.success] > 0.0, *times_ns), 1)[0]
         info["collision"] = None if collision[0] < 0 else self.judge.objects[collision[0]]
         conditions = {name: found.course[name] for name in (CONDITIONS,) if name in found.course}
         return {**info, **conditions}
+
+
+def _but_seen(games: Running) -> Running:
+    """Return games without their observations."""
+    return games._replace(observations=())
 
 
 def _cloned(value: Any, like: th.Tensor) -> Any:

@@ -8,7 +8,7 @@ from typing import Any
 
 import torch as th
 
-from uavaccel.envs.kernel_games import GameMaker
+from uavaccel.envs.cuda_games import LaneGames
 from uavaccel.envs.sensors import blank_frame
 from uavaccel.envs.simulators import kind_of
 from uavaccel.envs.task import Task
@@ -19,20 +19,21 @@ from uavaccel.vision.dvs_sensor import BLOCK_SIDE, sample_pixels
 
 
 class View(ABC):
-    """The cameras of `count` lanes; `games` and `now` are kernels/lanes.Games and Flights of numba arrays.
+    """The cameras of lanes that fly `games`; `now` is a kernels/lanes.Flights of numba arrays.
 
     In all methods, `which` (L,) uint8 selects lanes. `pixels` is a kernels/events.Pixels of tensors.
     """
 
-    def __init__(
-        self, task: Task, maker: GameMaker, count: int, device: th.device, games: Any, now: Any, tick_ns: int
-    ) -> None:
-        self.kind, self._count, self._device, self._tick_ns = kind_of(task), count, device, tick_ns
-        self.kernels, self._games, self._now = kernels.compiled(maker.nominal), games, now
+    def __init__(self, task: Task, games: LaneGames, now: Any, tick_ns: int) -> None:
+        maker, device = games.maker, games.device
+        self.kind, self._count, self._device, self._tick_ns = kind_of(task), games.count, device, tick_ns
+        self.kernels, self._games, self._now = kernels.compiled(maker.nominal), games.arrays, now
         parameters, size = task.dvs_parameters, task.picture_size[::-1]
         frame = blank_frame("dvs", task.picture_size).shape[1:]
         self._size, self._frame, self._side = size, frame, size[0] // frame[0]
-        pixels = events.pixels_of(count if self.kind == DVS else 0, parameters, size, frame)
+        pixels = events.pixels_of(games.count if self.kind == DVS else 0, parameters, size, frame)
+        camera = events.camera_row(parameters, task.image_noise)
+        self._noisy = not games.one_camera or not events.is_plain(camera, pixels.filtered.size)
         self.pixels, self._pixels = kernels.on_device(pixels, device)
         looks, looks_arrays = kernels.on_device(maker.looks, device)
         draws = events.sensor_of(sample_pixels(parameters, size, task.dvs_seed))
@@ -142,7 +143,8 @@ class LaneView(View):
         going, faces, shown = self._looked_at(which)
         seen = (faces, shown, self.plan, self._games, now, self._pixels, kernels.shared(frames[:, 0]))
         self._kernel("see", kernels.SEEING_THREADS_A_LANE)(going, int(take), *seen)
-        self._kernel("see_noise", kernels.SEEING_THREADS_A_LANE)(going, self._tick_ns, int(take), *seen)
+        if self._noisy:
+            self._kernel("see_noise", kernels.SEEING_THREADS_A_LANE)(going, self._tick_ns, int(take), *seen)
         self._finish(going, now)
 
     def show(self, which: th.Tensor, frames: th.Tensor) -> None:
@@ -174,6 +176,6 @@ class LaneView(View):
         return kernels.shared(which), kernels.shared(self._faces), kernels.shared(self._shown)
 
 
-def view_of(task: Task, maker: GameMaker, *arguments: Any) -> SceneView | LaneView:
+def view_of(task: Task, games: LaneGames, now: Any, tick_ns: int) -> SceneView | LaneView:
     """Return the cameras of a task's lanes."""
-    return (SceneView if isinstance(maker.looks, Looks) else LaneView)(task, maker, *arguments)
+    return (SceneView if isinstance(games.maker.looks, Looks) else LaneView)(task, games, now, tick_ns)

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from gymnasium import spaces
 
-from uavaccel.envs.arrays import cast, full, joined, mapped, namespace_of
+from uavaccel.envs.arrays import cast, full, joined, mapped, namespace_of, picture_of
 from uavaccel.envs.checks import Functions, check_features, check_reward
 from uavaccel.envs.sensors import NO_ACTION
 from uavaccel.envs.stopwatch import PHASES
@@ -139,12 +139,12 @@ class Judge:
         return flight[:, 1 : 1 + KINEMATICS], position_m, xp.where(touched, collision, -1)
 
     def after(self, before: Running, flown: Flown, actions: Number) -> tuple[Running, Judged]:
-        """Return the games after a command, and how it ended; `actions` (n,) are those of a discrete space."""
+        """Return the games after a command, and how it ended; `actions` (n,) are those of a discrete space.
+
+        Their observations have the pictures from before it, until `observe`: cameras need not have rendered yet.
+        """
         xp = namespace_of(flown.numbers)
-        present_ns, seen, taken_ns = self._times(flown)
-        frames = self._frames(before.course, flown, seen)
-        pictures = before.observations["image"] if self.task.also_state else before.observations
-        earlier = pictures[:, frames.shape[1] : frames.shape[1] * self.task.history]
+        seen, taken_ns = self._times(flown)
         free, some, last = flown.collision < 0, flown.taken > 0, (flown.taken - 1).clip(0)
         row = xp.arange(len(last), device=last.device)
         numbers = xp.where(some[:, None], flown.samples[row, last], before.numbers)  # before a collision
@@ -158,11 +158,28 @@ class Judge:
             actions=actions if self.discrete else before.actions,
             taken_ns=xp.concatenate([before.taken_ns, taken_ns], 1)[:, taken_ns.shape[1] :],
         )
+        if self._sees_state:
+            frames = self._frames_of_states(before.course, flown, seen)
+            now = now._replace(observations=self._later(before.observations, frames, now, flown))
         course, judged = self._judge(self.moments(before), self.moments(now))
-        ages_ns = present_ns[:, None] - now.taken_ns
-        seen = self._with_context(xp.concatenate([earlier, frames], 1), now.actions, ages_ns)
-        now = now._replace(course=course, observations=seen)
+        now = now._replace(course=course)
         return now._replace(observations=self._beside_state(now)), judged
+
+    def observe(self, games: Running, flown: Flown) -> Any:
+        """Return the observations of games `after` a command, with its pictures."""
+        if self._sees_state:
+            return games.observations
+        frames = flown.pictures.reshape(len(flown.tick), -1, *self._blank.shape[1:])
+        pictures = self._later(picture_of(games.observations), frames, games, flown)
+        return {**games.observations, "image": pictures} if self.task.also_state else pictures
+
+    def _later(self, pictures: Number, frames: Number, now: Running, flown: Flown) -> Number:
+        """Return pictures (n, ...) in which a command's frames (n, S * ..., ...) have replaced the oldest."""
+        earlier = pictures[:, frames.shape[1] : frames.shape[1] * self.task.history]
+        frames = namespace_of(frames).concatenate([earlier, frames], 1)
+        if self._context is None:
+            return frames
+        return self._with_context(frames, now.actions, self._decided_ns(flown)[:, None] - now.taken_ns)
 
     def moments(self, games: Running) -> Moments:
         """Return the games as the task's functions take them."""
@@ -201,24 +218,25 @@ class Judge:
 
         return dict(mapped(kept, dict(before), course))
 
-    def _times(self, flown: Flown) -> tuple[Number, Number, Number]:
-        """Return the time (n,) of the next decision, which samples (n, S) precede a collision, and the frames' times.
-
-        Frames that a collision leaves blank are of the time of the next decision.
-        """
-        xp, present_ns = namespace_of(flown.tick), flown.tick * self._tick_ns
-        if self._since_ns:
-            since_ns = self._since_ns * cast(flown.collision < 0, "float64") * float(self.task.clock_speed)
-            present_ns = present_ns + cast(since_ns.round(), "int64")
+    def _times(self, flown: Flown) -> tuple[Number, Number]:
+        """Return which samples (n, S) precede a collision, and when the frames were taken: later ones, which a
+        collision leaves blank, at the next decision."""
+        xp = namespace_of(flown.tick)
         seen = xp.arange(flown.ticks.shape[1], device=flown.ticks.device) < flown.taken[:, None]
-        return present_ns, seen, xp.where(seen, flown.ticks * self._tick_ns, present_ns[:, None])
+        return seen, xp.where(seen, flown.ticks * self._tick_ns, self._decided_ns(flown)[:, None])
+
+    def _decided_ns(self, flown: Flown) -> Number:
+        """Return the simulated time (n,) of the next decision."""
+        present_ns = flown.tick * self._tick_ns
+        if not self._since_ns:
+            return present_ns
+        since_ns = self._since_ns * cast(flown.collision < 0, "float64") * float(self.task.clock_speed)
+        return present_ns + cast(since_ns.round(), "int64")
 
     # --- what is observed -------------------------------------------------------------------------
 
-    def _frames(self, course: Mapping[str, Any], flown: Flown, seen: Number) -> Number:
+    def _frames_of_states(self, course: Mapping[str, Any], flown: Flown, seen: Number) -> Number:
         """Return the command's frames (n, S * ..., ...), the oldest first, which show the course before it."""
-        if not self._sees_state:
-            return flown.pictures.reshape(len(seen), -1, *self._blank.shape[1:])
         xp, frames = namespace_of(seen), []
         for sample in range(seen.shape[1]):
             shown = self._features(course, flown.samples[:, sample], flown.ticks[:, sample] * self._tick_ns)
@@ -251,7 +269,8 @@ class Judge:
         state = self._features(games.course, games.numbers, games.time_ns, (-1,))
         free = (games.collision < 0)[:, None]
         xp = namespace_of(state)
-        return {"image": games.observations, "state": self._finite(xp.where(free, state, xp.zeros_like(state)))}
+        beside = self._finite(xp.where(free, state, xp.zeros_like(state)))
+        return {"image": picture_of(games.observations), "state": beside}
 
     def _finite(self, seen: Number) -> Number:
         """Return what is observed of states (n, ...). Raises UserError for a number of an array that is not finite."""

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from uavaccel.clock import MonotonicClock
 from uavaccel.config import MOST_PROCESSES
-from uavaccel.envs.arrays import assign, mapped, named_leaves, one_of, select, stacked
+from uavaccel.envs.arrays import assign, each_of, mapped, named_leaves, select, stacked
 from uavaccel.envs.batch import TurnBatch, set_up
 from uavaccel.envs.checks import actions_of, whole_number
 from uavaccel.envs.flight_env import CONDITIONS, FlightEnv
@@ -149,10 +149,10 @@ class KernelBatch(TurnBatch):
     def step_wait(self, slots: Sequence[int] | None = None) -> Steps:
         """As `TurnBatch` has it. Raises UserError where no command was started."""
         which = np.arange(self.num_envs) if slots is None else np.asarray(slots)
-        flown = self._flying.pop(int(which[0]), None)
-        if flown is None:
+        flying = self._flying.pop(int(which[0]), None)
+        if flying is None:
             raise UserError("no command was started in these environments: step_async comes before step_wait")
-        for part in flown:
+        for part in flying:
             part.result()
         self._host_s[which] += (self._clock.now_ns() - self._begun_ns) / NS_PER_S / len(which)
         going = which[~self._over[which]]
@@ -161,7 +161,9 @@ class KernelBatch(TurnBatch):
         terminated, truncated = np.zeros(self.num_envs, bool), np.zeros(self.num_envs, bool)
         infos: dict[int, Info] = {}
         if len(going):
-            games, judged = self._judge.after(select(self._running, going), self._flown(going), self._asked[going])
+            flown = self._flown(going)
+            games, judged = self._judge.after(select(self._running, going), flown, self._asked[going])
+            games = games._replace(observations=self._judge.observe(games, flown))
             assign(self._running, going, games)
             rewards[going], terminated[going], truncated[going] = judged.reward, judged.terminated, judged.truncated
             infos = dict(zip(going.tolist(), self._infos(going, games, judged.success), strict=True))
@@ -299,7 +301,7 @@ class KernelBatch(TurnBatch):
         clock = self._clocks.row[lanes]
         wall_ns, phases_ns = clock[:, timeline.NOW] - clock[:, timeline.START], clock[:, timeline.FIRST_PHASE :]
         infos = self._judge.infos(games, won, wall_ns, phases_ns)
-        each = [one_of(infos, place) for place in range(len(lanes))]
+        each: list[Info] = each_of(infos, len(lanes))
         for lane, info in zip(lanes.tolist(), each, strict=True):
             collision, course = info["collision"], self._drawn[lane].course
             info["collision"] = None if collision < 0 else self._judge.objects[collision]

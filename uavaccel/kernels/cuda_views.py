@@ -17,7 +17,7 @@ from uavaccel.kernels import fields as at
 from uavaccel.kernels.faces import begin as begin_faces
 from uavaccel.kernels.faces import project_solid, view_of
 from uavaccel.kernels.fields import Operand
-from uavaccel.kernels.lanes import EVENT_SEED, PICTURE_SEED, TOUCHED
+from uavaccel.kernels.lanes import EVENT_SEED, PICTURE_SEED
 from uavaccel.kernels.quads import (
     BELOW,
     MOST_INTERVALS,
@@ -33,7 +33,6 @@ from uavaccel.kernels.quads import (
 )
 from uavaccel.kernels.rays import ONE, colour_of, linear
 from uavaccel.kernels.scene import world_of
-from uavaccel.kernels.touching import NOTHING
 from uavaccel.sim.camera.pixels import luma_of
 from uavaccel.sim.vehicle.quadrotor import NEVER
 from uavaccel.vision.dvs_kernels import count_double_pixel, signed_count
@@ -253,13 +252,6 @@ def noisy_pair(levels, camera, sensor, base, filtered, noise, y, x, dt_s):  # ty
 
 
 @cuda.jit(device=True)
-def is_plain(camera, pixels):  # type: ignore[no-untyped-def]
-    """Return whether a camera has neither noise nor a low-pass filter."""
-    quiet = camera[events.LEAK] <= 0.0 and camera[events.SHOT] <= 0.0 and camera[events.HOT] <= 0.0
-    return quiet and camera[events.READ] <= 0.0 and pixels.filtered.size == 0
-
-
-@cuda.jit(device=True)
 def add_to_block(total, take, lane, y, x, pixels, frames):  # type: ignore[no-untyped-def]
     """Add the events of this thread and its neighbour to their block; if `take`, move its sum to `frames`."""
     total = np.int32(total + cuda.shfl_xor_sync(WHOLE_WARP, total, 1))
@@ -276,12 +268,12 @@ def see(going, take, faces, shown, plan, games, now, pixels, frames):  # type: i
     lane, y, x = pixels_of_thread()
     if lane >= np.uintp(len(going)) or going[lane] == 0:
         return
-    if now.watch[lane, TOUCHED] != NOTHING:
+    if now.state[lane].collision_tick != NEVER:
         if take != 0 and x % BLOCK_SIDE == 0:
             frames[lane, np.uintp(y // BLOCK_SIDE), np.uintp(x // BLOCK_SIDE)] = NEUTRAL_LEVEL
         return
     camera = camera_of(games, now.game[lane])
-    if not is_plain(camera, pixels):
+    if not events.is_plain(camera, pixels.filtered.size):
         return
     own, base, total = faces[lane], pixels.base, np.int32(0)
     for half in range(2):
@@ -298,11 +290,11 @@ def see(going, take, faces, shown, plan, games, now, pixels, frames):  # type: i
 def see_noise(going, tick_ns, take, faces, shown, plan, games, now, pixels, frames):  # type: ignore[no-untyped-def]
     """Do as `see` for cameras with noise or low-pass filter, in a kernel apart: it needs more registers."""
     lane, y, x = pixels_of_thread()
-    if lane >= np.uintp(len(going)) or going[lane] == 0 or now.watch[lane, TOUCHED] != NOTHING:
+    if lane >= np.uintp(len(going)) or going[lane] == 0 or now.state[lane].collision_tick != NEVER:
         return
     game = now.game[lane]
     camera, seeds = camera_of(games, game), games.seeds[game]
-    if is_plain(camera, pixels):
+    if events.is_plain(camera, pixels.filtered.size):
         return
     base, total, moment_ns = pixels.base[lane], np.int32(0), now.state[lane].tick * tick_ns
     filtered = pixels.filtered[lane] if pixels.filtered.size else pixels.filtered[0:0, 0]

@@ -100,6 +100,13 @@ def pixels_of(
 
 
 @part
+def is_plain(camera: Operand, filtered: int) -> bool:
+    """Return whether a camera has neither noise nor, with `filtered` pixels, a low-pass filter."""
+    quiet = camera[LEAK] <= 0.0 and camera[SHOT] <= 0.0 and camera[HOT] <= 0.0
+    return quiet and camera[READ] <= 0.0 and filtered == 0
+
+
+@part
 def noisy(level: int, deviation: np.float32, normal: np.float32) -> int:
     """Return a grey level with noise, rounded and clipped to 0..255."""
     value = np.float32(level) + times(deviation, normal)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import cache
 
 import torch as th
 
@@ -27,12 +28,18 @@ def recording(graph: th.cuda.CUDAGraph) -> Iterator[None]:
     collects = gc.isenabled()
     gc.disable()
     try:
-        with th.cuda.graph(graph):
+        with th.cuda.graph(graph, stream=_stream()):
             yield
         th.cuda.synchronize()
     finally:
         if collects:
             gc.enable()
+
+
+@cache
+def _stream() -> th.cuda.Stream:
+    """Return the stream that is recorded, whose many small kernels go before the large ones of rendering beside it."""
+    return th.cuda.Stream(priority=-1)
 
 
 def recorded(work: Callable[[], None], device: th.device) -> Callable[[], None]:
