@@ -314,7 +314,7 @@ def test_figure_6_order_and_spread() -> None:
 @cache
 def command_wall_s(command: str, clock_speed: float) -> float:
     """Of the model that ships."""
-    return float(fit_agent.command_wall_s(command, clock_speed, shipped_latency("airsim"), commands=60))
+    return float(fit_agent.command_wall_s(command, clock_speed, shipped_latency("airsim")))
 
 
 @pytest.mark.parametrize("clock_speed", PAPERS_FRAME_SPEEDUPS)

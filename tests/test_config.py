@@ -11,7 +11,6 @@ from pydantic import Field, ValidationError, field_validator
 
 from uavaccel.config import Config, apply_overrides, dump_yaml, load_yaml, parse_yaml, schema, to_yaml, validate
 from uavaccel.errors import UserError
-from uavaccel.resources import experiment, experiments
 
 
 class Camera(Config):
@@ -180,10 +179,3 @@ def test_overrides_apply_in_turn_and_leave_the_original_alone() -> None:
         "empty": None,
     }
     assert original == {"clock_speeds": [1, 5], "camera": {"rate_hz": 30}, "note": None}
-
-
-@pytest.mark.parametrize("name", experiments())
-def test_what_ships_is_the_same_to_both_parsers(name: str) -> None:
-    """Down to the types: 1 is no 1.0."""
-    path = experiment(f"{name}.yaml")
-    assert repr(load_yaml(path, shipped=True)) == repr(load_yaml(path))

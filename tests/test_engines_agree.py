@@ -466,7 +466,7 @@ def test_games_are_the_same_in_all_simulators(case: Case) -> None:
 
 
 @pytest.mark.slow
-@settings(FIXTURES, max_examples=10)
+@settings(FIXTURES, max_examples=7)
 @given(seen_cases())
 @pytest.mark.usefixtures("a_gpu", "kernels_pictures")
 def test_cameras_see_the_same_in_all_simulators(case: Case) -> None:

@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -38,19 +39,27 @@ def process_of(whole: subprocess.Popen[str], target: str) -> int:
     return next(pid for pid in descendants(whole.pid) if MARKS[target] in command_line(pid))
 
 
-@pytest.mark.parametrize(("timing", "target", "kind", "line", "status"), [
+DEATHS = [
     ("virtual", "parent", "INT", "", 130),
     ("virtual", "script", "STOP", "the script's process was stopped", 137),
     ("wall", "parent", "KILL", "the process that started this flight was killed", -9),
     ("wall", "server", "KILL", "the server's process was ended by SIGKILL; the script ends too", 1),
     ("wall", "server", "STOP", "the server's process was stopped; the script ends too", 1),
-])  # fmt: skip
-def test_a_death_is_noticed_and_nothing_is_left(
-    tmp_path: Path, timing: str, target: str, kind: str, line: str, status: int
-) -> None:
-    script, temporary, said = tmp_path / "script.py", tmp_path / "tmp", tmp_path / "said.txt"
+]
+
+
+def test_a_death_is_noticed_and_nothing_is_left(tmp_path: Path) -> None:
+    """All at the same time, as they wait most of it."""
+    with ThreadPoolExecutor(len(DEATHS)) as pool:
+        for _ in pool.map(lambda death: dies(tmp_path / "-".join(death[:3]), *death), DEATHS):
+            pass
+
+
+def dies(folder: Path, timing: str, target: str, kind: str, line: str, status: int) -> None:
+    """Fly a script and send a signal to one of the flight's processes."""
+    script, temporary, said = folder / "script.py", folder / "tmp", folder / "said.txt"
+    temporary.mkdir(parents=True)
     script.write_text(SCRIPT)
-    temporary.mkdir()
     command = [sys.executable, "-m", "uavaccel", "fly", "--timing", timing, str(script)]
     command += ["connected"] if timing == "wall" else []
     with (

@@ -8,6 +8,7 @@ import os
 import select
 import signal
 import socket
+from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
@@ -19,7 +20,7 @@ from tests.running import configured
 from uavaccel.clock import VirtualClock
 from uavaccel.errors import UserError
 from uavaccel.processes.lifetime import start_python
-from uavaccel.suites.dp1 import Dp1
+from uavaccel.suites.dp1 import Dp1, Game
 from uavaccel.suites.runner import MOST_RESTARTS, run_suite, start_run
 from uavaccel.suites.suite import GameResult
 from uavaccel.units import NS_PER_S
@@ -48,14 +49,13 @@ def servers(monkeypatch: pytest.MonkeyPatch) -> list[WatchedServer]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("call", ["pause", "kinematics"])
-def test_a_stopped_server_is_noticed_and_does_not_outlive_its_session(call: str) -> None:
+def test_a_stopped_server_is_noticed_and_does_not_outlive_its_session() -> None:
     with WallSession("blocks", "native") as session:
         client = session.start_game(10.0)
         stop(session.server.pid)
         client.transport.known.state = None
         with pytest.raises(ServerGoneError, match="did not answer"):
-            getattr(client, call)()
+            client.kinematics()
     assert session.server.returncode == -signal.SIGKILL
 
 
@@ -162,10 +162,20 @@ def stop(pid: int) -> None:
         pass
 
 
+class Squares(Dp1):
+    """Without the flights and messages of the paper's figures, for which servers start too."""
+
+    def cases(self, config: Any) -> Iterator[Game]:
+        return (case for case in super().cases(config) if case.role != "figure2")
+
+    def finish(self, config: Any, run: Any) -> None:
+        pass
+
+
 def test_a_game_whose_server_was_killed_is_flown_again_and_flagged(
     tmp_path: Path, servers: list[WatchedServer]
 ) -> None:
-    suite, config = Dp1(), configured("dp1", *SMALL, timing="wall")
+    suite, config = Squares(), configured("dp1", *SMALL, timing="wall")
     run = start_run(suite, config, tmp_path / "run", {})
     killed: list[str] = []
 
@@ -181,9 +191,7 @@ def test_a_game_whose_server_was_killed_is_flown_again_and_flagged(
     assert [row["case"] for row in again] == [cases[cases.index(killed[0]) + 1]]
     assert again[0]["restarts"] == 1
     assert again[0]["disturbed"] is True
-    summary = suite.report(run).write()
-    assert sum(cell.get("disturbed_games", 0) for cell in summary["cells"]) >= 1
-    assert "games were disturbed" in (run.path / "report.md").read_text()
+    assert sum(cell.get("disturbed_games", 0) for cell in suite.report(run).summary["cells"]) >= 1
     assert all(server.returncode is not None for server in servers)
 
 

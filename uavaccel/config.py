@@ -292,6 +292,7 @@ _RESOLVERS = {
 for _first in "-+0123456789":
     _RESOLVERS.setdefault(_first, []).append((_FLOAT, _EXPONENT_ALONE))
 MOST_VALUES = 1_000_000
+MOST_LEVELS = 5_000  # of nesting, far below those at which libyaml crashes
 
 
 class _Rules(SafeConstructor):
@@ -317,10 +318,10 @@ class _Loader(_Rules, yaml.SafeLoader):
 
 
 class _QuickLoader(_Rules, getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # type: ignore[misc]
-    """libyaml's, twenty times as fast; text that is nested too deep crashes it."""
+    """libyaml's, seven times as fast; text that is nested too deep crashes it, and it says less of what is wrong."""
 
 
-class _Dumper(yaml.SafeDumper):
+class _Dumper(getattr(yaml, "CSafeDumper", yaml.SafeDumper)):  # type: ignore[misc]
     yaml_implicit_resolvers = _RESOLVERS
 
     def ignore_aliases(self, data: object) -> bool:
@@ -329,13 +330,13 @@ class _Dumper(yaml.SafeDumper):
     def represent_sequence(
         self, tag: str, sequence: Iterable[object], flow_style: bool | None = None
     ) -> yaml.SequenceNode:
-        node = super().represent_sequence(tag, sequence, flow_style)
+        node: yaml.SequenceNode = super().represent_sequence(tag, sequence, flow_style)
         node.flow_style = all(isinstance(item, yaml.ScalarNode) for item in node.value)
         return node
 
 
-def load_yaml(path: str | Path, shipped: bool = False) -> dict[str, Plain]:
-    """Return the mapping in a YAML file; one that is `shipped` with the package is read by a quicker parser.
+def load_yaml(path: str | Path) -> dict[str, Plain]:
+    """Return the mapping in a YAML file.
 
     Raises UserError, with the file and the line, if it cannot be read, is not YAML, no mapping, or has a key twice.
     """
@@ -345,17 +346,17 @@ def load_yaml(path: str | Path, shipped: bool = False) -> dict[str, Plain]:
         raise UserError(f"{path}: {error.strerror}") from error
     except UnicodeDecodeError as error:
         raise UserError(f"{path}: not UTF-8 text") from error
-    value = parse_yaml(text, str(path), shipped)
+    value = parse_yaml(text, str(path))
     if isinstance(value, dict):
         return value
     found = "nothing" if value is None else f"a {type(value).__name__}"
     raise UserError(f"{path}: must be a mapping, lines of 'key: value', but holds {found}")
 
 
-def parse_yaml(text: str, source: str, shipped: bool = False) -> Plain:
+def parse_yaml(text: str, source: str) -> Plain:
     """Return the value of a YAML text. Raises UserError, naming `source`, if it is not YAML."""
     try:
-        return deepcopy(_bounded(_read(text, shipped), source))
+        return deepcopy(_bounded(_read(text), source))
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         line = f" line {mark.line + 1}:" if mark else ""
@@ -367,9 +368,13 @@ def parse_yaml(text: str, source: str, shipped: bool = False) -> Plain:
 
 
 @lru_cache(maxsize=8)
-def _read(text: str, shipped: bool) -> Plain:
+def _read(text: str) -> Plain:
     """Return the value of a text; cached, as a report reads its run's configuration a dozen times."""
-    return yaml.load(text, Loader=_QuickLoader if shipped else _Loader)
+    longest = max(map(len, text.splitlines()), default=0)  # a block's levels take a character of a line each
+    if text.count("[") + text.count("{") + longest < MOST_LEVELS:
+        with suppress(yaml.YAMLError, ValueError):
+            return yaml.load(text, Loader=_QuickLoader)
+    return yaml.load(text, Loader=_Loader)
 
 
 def _bounded(value: Plain, source: str) -> Plain:

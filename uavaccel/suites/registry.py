@@ -59,7 +59,7 @@ def read_mapping(name: str) -> tuple[dict[str, Plain], str]:
         is_run = (Path(name) / "config.yaml").is_file()
         what = "a run, which --report computes again" if is_run else suggestion(name, known)
         raise UserError(f"{name}: no such experiment; {what}")
-    return load_yaml(experiment(f"{name}.yaml"), shipped=True), f"{name}.yaml"
+    return load_yaml(experiment(f"{name}.yaml")), f"{name}.yaml"
 
 
 def experiments_in(config: Config) -> dict[str, Plain]:

@@ -224,7 +224,7 @@ ZERO_LATENCY = LatencyConfig()
 @cache
 def shipped_latency(profile: str = "native") -> LatencyConfig:
     """Return a profile's shipped model: measured by `uavaccel timing calibrate`, or AirSim's by tools/fit_airsim.py."""
-    return read_latency(experiment(SHIPPED[profile]), shipped=True)
+    return read_latency(experiment(SHIPPED[profile]))
 
 
 def of_the_profile(fields: Mapping[str, object]) -> LatencyConfig:
@@ -232,9 +232,9 @@ def of_the_profile(fields: Mapping[str, object]) -> LatencyConfig:
     return shipped_latency(str(fields.get("profile", "native")))
 
 
-def read_latency(path: Path, shipped: bool = False) -> LatencyConfig:
+def read_latency(path: Path) -> LatencyConfig:
     """Return the model under the key `latency` of a YAML file. Raises UserError that names the file and the key."""
-    block = load_yaml(path, shipped)
+    block = load_yaml(path)
     if "latency" not in block:
         raise UserError(f"{path}: has no key 'latency'; `uavaccel timing calibrate --out {path}` writes one")
     return validate(_LatencyFile, {"latency": block["latency"]}, str(path)).latency
