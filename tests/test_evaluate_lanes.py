@@ -23,12 +23,8 @@ from uavaccel.suites.evaluate import Evaluation
 from uavaccel.suites.evaluate_lanes import GamesInBatch, blocks
 from uavaccel.suites.runner import check_jobs
 
-BLIND, LOCKSTEP, KERNELS, SHORT = (
-    "task.observation=state",
-    "task.timing=lockstep",
-    "simulator=kernels",
-    "task.max_commands=6",
-)
+LOCKSTEP, KERNELS, SHORT = "task.timing=lockstep", "simulator=kernels", "task.max_commands=6"
+SEEN = "task.max_commands=12", "environments=2"
 
 
 def evaluated(out: Path, *overrides: str, resume: bool = False, **options: Any) -> RunDirectory:
@@ -42,19 +38,11 @@ def rows_of(run: RunDirectory) -> bytes:
 
 @pytest.mark.slow
 @needs_opengl
-def test_rows_of_a_policy_are_those_of_single_environments(tmp_path: Path) -> None:
-    keys = "task.max_commands=12", "games=3"
-    single = evaluated(tmp_path / "1", *keys, agent="default")
-    batch = evaluated(tmp_path / "2", *keys, "environments=2", agent="default")
-    assert rows_of(batch) == rows_of(single)
-    assert [row["lane"] for row in batch.rows()] == [0, 1, 2]
-    assert len({tuple(row["actions"]) for row in batch.rows()}) > 1
-    assert all(entry["wall_s"] >= entry["host_wall_s"] for entry in batch.timings())
-
-
-@pytest.mark.slow
-def test_a_killed_process_is_one_line_and_rows_stay(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    game, games = GamesInBatch.game, 30  # so many that some are still flown when the processes die
+def test_rows_in_processes_are_alike_also_after_they_were_killed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of a policy that sees; and the death of a process is one line."""
+    game, games = GamesInBatch.game, 8  # so many that some are still flown when the processes die
 
     def killing(self: GamesInBatch, lane: int) -> Any:
         assert self._processes is not None
@@ -65,15 +53,18 @@ def test_a_killed_process_is_one_line_and_rows_stay(tmp_path: Path, monkeypatch:
 
     monkeypatch.setattr(GamesInBatch, "game", killing)
     said = r"^the process of environment \d ended with status -9; go on with --resume$"
-    keys: dict[str, Any] = {"agent": "straight", "games": games}
+    keys: dict[str, Any] = {"agent": "default", "games": games}
     with pytest.raises(UserError, match=said):
-        evaluated(tmp_path / "run", BLIND, "environments=2", **keys)
+        evaluated(tmp_path / "run", *SEEN, **keys)
     monkeypatch.undo()
     lanes = [row["lane"] for row in RunDirectory(tmp_path / "run").rows()]
     assert lanes == list(range(len(lanes)))  # more than two: rows that were there when the processes died
     assert 2 <= len(lanes) < games
-    resumed = evaluated(tmp_path / "run", BLIND, "environments=2", resume=True, **keys)
-    assert rows_of(resumed) == rows_of(evaluated(tmp_path / "single", BLIND, **keys))
+    resumed = evaluated(tmp_path / "run", *SEEN, resume=True, **keys)
+    assert rows_of(resumed) == rows_of(evaluated(tmp_path / "single", "task.max_commands=12", **keys))
+    assert [row["lane"] for row in resumed.rows()] == [*range(games)]
+    assert len({tuple(row["actions"]) for row in resumed.rows()}) > 1
+    assert all(entry["wall_s"] >= entry["host_wall_s"] for entry in resumed.timings())
 
 
 @pytest.mark.slow

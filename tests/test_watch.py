@@ -2,7 +2,6 @@
 
 import os
 import re
-import socket
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -17,6 +16,7 @@ from tests.opengl import needs_opengl
 from uavaccel.commands import COMMANDS, VelocityGoal, velocities
 from uavaccel.watch.replay import T_MOVE_S, Track, fly_side_by_side
 
+POLL_S = 16 * 0.002  # between two refreshes, in whole ticks
 CHROMIUM = Path("/usr/bin/chromium")
 NAMED = "all => all.every(each => each.ariaLabel || each.textContent.trim())"
 FLAGS = ["--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-sync"]
@@ -90,32 +90,34 @@ def test_the_faster_the_clock_the_farther_adsc_strays(both: list[Track]) -> None
     assert adsc.farthest_from(tcsc) == pytest.approx(max(nearest))
 
 
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    if not CHROMIUM.exists():
+        pytest.skip("needs Debian's chromium")
+    from playwright.sync_api import sync_playwright
+
+    with sync_playwright() as playwright, playwright.chromium.launch(executable_path=CHROMIUM, args=FLAGS) as browser:
+        yield browser
+
+
 @contextmanager
-def served(folder: Path) -> Iterator[str]:
-    """The address of a page that the command line has opened."""
-    with socket.create_server(("127.0.0.1", 0)) as free:
-        port = free.getsockname()[1]
-    command = [sys.executable, "-m", "uavaccel", "watch", "--port", str(port)]
-    with subprocess.Popen(command, cwd=folder, stdout=subprocess.PIPE, text=True) as process:
+def served(folder: Path, *command: str) -> Iterator[tuple[str, subprocess.Popen[str]]]:
+    """The address of a page that the command line has opened, and its process."""
+    words = [sys.executable, "-m", "uavaccel", *command]
+    with subprocess.Popen(words, cwd=folder, stdout=subprocess.PIPE, text=True) as process:
         try:
             assert process.stdout is not None
             line = process.stdout.readline()
             assert line.startswith("watch at http://127.0.0.1:"), line
-            yield line.split()[2].rstrip(";")
+            yield line.split()[2].rstrip(";"), process
         finally:
             process.terminate()
-            process.wait(60.0)
 
 
 @needs_opengl
 @pytest.mark.slow
-@pytest.mark.skipif(not CHROMIUM.exists(), reason="needs Debian's chromium")
-def test_a_browser_pauses_steps_and_scrubs(tmp_path: Path) -> None:
-    from playwright.sync_api import sync_playwright
-
-    shots = Path(os.environ.get(SCREENSHOTS, tmp_path))
-    with served(tmp_path) as address, sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
+def test_a_browser_pauses_steps_and_scrubs(tmp_path: Path, browser: Any) -> None:
+    with served(tmp_path, "watch") as (address, _):
         heard: list[str] = []
         for width, height in ((390, 844), (1280, 720)):
             page = new_page(browser, viewport={"width": width, "height": height})
@@ -131,19 +133,15 @@ def test_a_browser_pauses_steps_and_scrubs(tmp_path: Path) -> None:
             page.locator(".mantine-Slider-track").click(position={"x": 3, "y": 1})
             if SCREENSHOTS in os.environ:
                 page.wait_for_timeout(12_000)  # some of the path
-            page.get_by_role("button", name="Pause").click()
-            page.get_by_role("button", name="Play", exact=True).wait_for()
-            before = clocks.inner_text()
-            page.get_by_role("button", name="Step", exact=True).click()
-            page.wait_for_function("before => document.querySelector('.clocks').innerText != before", arg=before)
-            stepped = clocks.inner_text()
+            before, stepped = pause_and_step(page)
             assert wall_ms(stepped) - wall_ms(before) == pytest.approx(1.0, abs=0.11)
             page.wait_for_timeout(300)
             assert clocks.inner_text() == stepped
             choose(page, "Shown at", "as fast as it flies")
             page.locator("#webgl-software-rendering button").click()
-            page.wait_for_timeout(1000)
-            page.screenshot(path=shots / f"watch_{width}.png", timeout=120_000)
+            if SCREENSHOTS in os.environ:
+                page.wait_for_timeout(1000)
+                page.screenshot(path=Path(os.environ[SCREENSHOTS]) / f"watch_{width}.png", timeout=120_000)
             button = page.get_by_role("button", name="Step", exact=True)
             step, scrub = button.bounding_box(), page.locator(".mantine-Slider-track").bounding_box()
             assert step is not None
@@ -168,9 +166,34 @@ def test_a_browser_pauses_steps_and_scrubs(tmp_path: Path) -> None:
             apart_m.append(leaves_m(clocks.inner_text()))
         assert apart_m[0] < 0.1 * leaves_m(stepped)
         assert apart_m[1] > 1.2 * leaves_m(stepped)
-        browser.close()
+        page.close()
     strangers = [each for each in heard if not each.startswith((address, "data:", "blob:"))]
     assert not strangers
+
+
+SCRIPT = """
+import airsim
+client = airsim.MultirotorClient()
+client.enableApiControl(True)
+client.moveByVelocityAsync(2, 0, 0, 120).join()
+"""
+
+
+@pytest.mark.slow
+def test_a_browser_holds_a_flight_and_lets_it_go(tmp_path: Path, browser: Any) -> None:
+    (tmp_path / "script.py").write_text(SCRIPT)
+    command = ["fly", "--no-settings", "--watch", "--out", "flight", "script.py"]
+    with served(tmp_path, *command) as (address, process):
+        page = new_page(browser, viewport={"width": 1280, "height": 720})
+        page.goto(address)
+        before, stepped = pause_and_step(page, "Paused.")
+        assert simulated_s(stepped) - simulated_s(before) == pytest.approx(POLL_S, abs=0.011)
+        choose(page, "Shown at", "as fast as it flies")
+        page.get_by_role("button", name="Play", exact=True).click()
+        said, _ = process.communicate(timeout=300)
+        page.close()
+    assert "2 calls" in said
+    assert (tmp_path / "flight" / "trajectory.npz").exists()
 
 
 def new_page(browser: Any, **options: Any) -> Any:
@@ -180,6 +203,19 @@ def new_page(browser: Any, **options: Any) -> Any:
     if SCREENSHOTS not in os.environ:
         page.add_init_script(DRAW_NOTHING)
     return page
+
+
+def pause_and_step(page: Any, note: str = "") -> tuple[str, str]:
+    """What the page says of a flight that it holds, with a note, and after a step of it."""
+    clocks = page.locator(".clocks")
+    page.get_by_role("button", name="Pause").click()
+    page.get_by_role("button", name="Play", exact=True).wait_for()
+    clocks.get_by_text(note).first.wait_for()
+    before = clocks.inner_text()
+    page.get_by_role("button", name="Step", exact=True).click()
+    page.wait_for_function("before => document.querySelector('.clocks').innerText != before", arg=before)
+    clocks.get_by_text(note).first.wait_for()
+    return before, clocks.inner_text()
 
 
 def choose(page: Any, menu: str, value: str) -> None:

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-import subprocess
-import sys
 import threading
 from collections.abc import Iterator
 from pathlib import Path
@@ -17,7 +15,6 @@ import pytest
 from tests.flying import STRAIGHT, call, hovering, point
 from tests.learning import tiny_config
 from tests.running import configured, fly_into
-from tests.test_watch import CHROMIUM, FLAGS, new_page, simulated_s
 from uavaccel.cli.experiments import run_experiment
 from uavaccel.commands import COMMANDS, VelocityGoal
 from uavaccel.envs.obstacle_lane import ObstacleLane
@@ -81,16 +78,16 @@ class Flight:
         self.world: Told = feed.worlds[0]
         self.last: Moment | None = None
 
-    def heard(self, seconds: float = 0.3) -> list[float]:
-        """The simulated times of the moments that come until `seconds` pass without one, or the flight has ended."""
+    def heard(self, until_s: float) -> list[float]:
+        """The simulated times of the moments up to this one, after which none may come for a while."""
         times: list[float] = []
-        silent = threading.Event()
-        left = round(seconds / 0.02)
-        while left and not silent.wait(0.02):
-            moments = self.feed.update(0.02, seen=True)
+        silent, left = threading.Event(), 10
+        while left:
+            silent.wait(0.005)
+            moments = self.feed.update(0.005, seen=True)
             times += [moment.drones[0].time_s for moment in moments]
             self.last = moments[-1] if moments else self.last
-            left = round(seconds / 0.02) if moments else left - 1
+            left -= bool(times) and times[-1] > until_s - 1e-6
         return times
 
     def end(self) -> dict[str, np.ndarray]:
@@ -103,20 +100,20 @@ def test_a_held_flight_steps_and_goes_on_to_the_same_bytes(feed: Live) -> None:
     """And tells clocks, pose and command."""
     assert round(REFRESH_NS / 2_000_000) * 0.002 == POLL_S
     flight = Flight(feed)
-    assert flight.heard() == [POLL_S]
-    assert flight.heard() == []
-    for _ in range(40):
+    assert flight.heard(POLL_S) == [POLL_S]
+    for _ in range(8):
         feed.step()
-    assert flight.heard()[-1] == pytest.approx(41 * POLL_S)
+    assert flight.heard(9 * POLL_S)[-1] == pytest.approx(9 * POLL_S)
     arrays, moment = flight.end(), flight.last
     assert moment is not None
     row = int(np.searchsorted(arrays["time_s"], moment.drones[0].time_s))
     between = arrays["position_m"][row - 1 : row + 1, 0]
     assert between.min() <= moment.drones[0].pose[0] <= between.max()
-    assert (moment.may_pause, moment.clock_speed, moment.wall) == (True, 10.0, f"{4.1 * POLL_S:.3f} s, simulated")
+    assert (moment.may_pause, moment.clock_speed, moment.wall) == (True, 10.0, f"{0.9 * POLL_S:.3f} s, simulated")
     assert moment.drones[0][2:4] == (True, (2.0, 0.0, 0.0))
     assert flight.world.scene is not None
     assert list(flight.world.scene.bodies) == ["SimpleFlight"]
+    feed.close()
     alone = flown()
     assert {name: array.tobytes() for name, array in arrays.items()} == {
         name: array.tobytes() for name, array in alone.items()
@@ -146,7 +143,7 @@ def test_a_command_leads_by_its_velocity_or_to_its_place(
 
 def test_a_flight_goes_on_when_the_page_has_gone(feed: Live) -> None:
     flight = Flight(feed)
-    flight.heard()
+    flight.heard(POLL_S)
     feed.close()
     assert len(flight.end()["time_s"]) > 80
 
@@ -246,38 +243,3 @@ def test_what_cannot_be_watched_is_refused(
     with pytest.raises(UsageError, match=f"--watch: .*{said}"):
         run_experiment(request)
     assert not (tmp_path / "run").exists()
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(not CHROMIUM.exists(), reason="needs Debian's chromium")
-def test_a_browser_holds_a_flight_and_lets_it_go(tmp_path: Path) -> None:
-    from playwright.sync_api import sync_playwright
-
-    (tmp_path / "script.py").write_text(SCRIPT)
-    command = [sys.executable, "-m", "uavaccel", "fly", "--no-settings", "--watch", "--out", "flight", "script.py"]
-    with (
-        sync_playwright() as playwright,
-        subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, text=True) as process,
-    ):
-        try:
-            assert process.stdout is not None
-            line = process.stdout.readline()
-            assert line.startswith("watch at http://127.0.0.1:"), line
-            browser = playwright.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
-            page = new_page(browser, viewport={"width": 1280, "height": 720})
-            page.goto(line.split()[2].rstrip(";"))
-            clocks, play = page.locator(".clocks"), page.get_by_role("button", name="Play", exact=True)
-            page.get_by_role("button", name="Pause").click()
-            play.wait_for()
-            clocks.get_by_text("Paused.").wait_for()
-            before = clocks.inner_text()
-            page.get_by_role("button", name="Step", exact=True).click()
-            page.wait_for_function("before => document.querySelector('.clocks').innerText != before", arg=before)
-            clocks.get_by_text("Paused.").wait_for()
-            assert simulated_s(clocks.inner_text()) - simulated_s(before) == pytest.approx(POLL_S, abs=0.011)
-            play.click()
-            said, _ = process.communicate(timeout=300)
-        finally:
-            process.kill()
-    assert "5 calls" in said
-    assert (tmp_path / "flight" / "trajectory.npz").exists()

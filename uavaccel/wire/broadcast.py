@@ -77,9 +77,9 @@ class Broadcast:
         self._page, self._may_pause = page, may_pause
         self._clock = MonotonicClock()
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        finalize(self, self._socket.close)
         self._socket.connect(str(page))
         self._socket.setblocking(False)
-        finalize(self, self._socket.close)
         self._ready = select.poll()
         self._ready.register(self._socket, select.POLLIN)
         self._orders: Orders = {**FREE}
