@@ -16,7 +16,7 @@ from tests.opengl import needs_opengl
 from tests.scenes import Scene
 from uavaccel.envs.obstacle_lane import ObstacleLane
 from uavaccel.errors import UserError
-from uavaccel.kernels import events, rays
+from uavaccel.kernels import cpu, events, rays
 from uavaccel.kernels import fields as at
 from uavaccel.kernels.appearance import empty_scenes, fill_scenes, mipmaps, read_appearance
 from uavaccel.kernels.faces import project
@@ -329,7 +329,7 @@ def see_both(levels: Any, camera: Any, sensor: Any, plain: Any, full: Any) -> tu
             quick += update_quad(lumas, known, camera, sensor, plain, place, place)
             for part in range(4):
                 y, x = row + part // 2, column + part % 2
-                slow += events.update_pixel(levels[y, x], camera, sensor, full, none, zero, y, x, 0.1)
+                slow += events.update_pixel(levels[y, x], camera, sensor, full, none, zero, y, x, (0, 0.0, 0.1), ())
     return quick, slow
 
 
@@ -368,3 +368,61 @@ def test_quads_without_noise_see_what_pixels_see(sigma: float, negative: float) 
         quick, slow = see_both(rng.integers(0, 256, shape), tuple(row), sensor, plain, full)
         assert quick == slow != 0
         np.testing.assert_array_equal(plain[0], full)
+
+
+@njit
+def see_apart(levels: Any, time_s: float, camera: Any, sensor: Any, pixels: Any, seed: int) -> Any:
+    """As threads of a GPU see a picture, of four pixels each: they find the largest count, then begin anew."""
+    signed, most = np.zeros(levels.shape, np.int64), np.ones(1, np.int32)
+    filtered = pixels.filtered[0] if pixels.filtered.size else pixels.filtered[0:0, 0]
+    for counting in (1, 0):
+        rest = events.Rest(pixels.last_s, most, counting)
+        for block in range(levels.size // 4):
+            normals, draws = events.block_draws(camera, seed, pixels.clock[0] + 1, block)
+            for number in range(4):
+                y, x = divmod(4 * block + number, levels.shape[1])
+                signed[y, x] += events.update_pixel(
+                    *(levels[y, x], camera, sensor, pixels.base[0], filtered, (normals[number], draws[number])),
+                    *(y, x, (0, pixels.time_s[0], time_s), rest),
+                )
+    pixels.clock[0], pixels.time_s[0] = pixels.clock[0] + 1, time_s
+    return signed
+
+
+NOISES: dict[str, dict[str, float]] = {
+    "plain": {},
+    "leak": {"leak_rate_hz": 40.0, "leak_jitter_fraction": 0.1, "leak_rate_spread_decades": 0.1, "hot_share": 0.1},
+    "shots": {"shot_noise_rate_hz": 30.0},
+    "filter": {"cutoff_hz": 60.0, "leak_rate_hz": 9.0, "shot_noise_rate_hz": 9.0},
+}
+
+
+@pytest.mark.parametrize("noise", NOISES.values(), ids=NOISES)
+@pytest.mark.parametrize("refractory_s", [0.0001, 0.0005, 0.01])
+def test_pixels_rest_as_v2es_do_one_by_one_and_all_at_once(refractory_s: float, noise: dict[str, float]) -> None:
+    """Frames come 1 to 20 ms after one another, and a pixel has up to several tens of events in one."""
+    rng, shape, seed, now_ns, rests = np.random.default_rng(1), (24, 32), 5, 0, 0
+    parameters = DvsParameters(threshold_sigma=0.05, refractory_s=refractory_s, **noise)
+    sensor, row = events.sensor_of(sample_pixels(parameters, shape, 3)), events.camera_row(parameters)
+    apart, whole = (events.pixels_of(1, parameters, shape, shape) for _ in range(2))
+    levels, v2es = rng.integers(0, 256, shape, np.uint8), make_sensor(parameters, shape, 3)
+    restless = v2es._replace(parameters=replace(parameters, refractory_s=0.0))
+    state = init_state(v2es, levels, noise_seed=seed)
+    for pixels in (apart, whole):
+        cpu.start(0, levels, pixels, sensor, row)
+    for _ in range(40):
+        now_ns += int(rng.choice([1, 2, 7, 20])) * 1_000_000
+        levels = np.where(rng.random(shape) < 0.4, rng.integers(0, 256, shape, np.uint8), levels)
+        before, time_s = state, now_ns * events.NS
+        signed = see_apart(levels, time_s, tuple(row), sensor, apart, seed)
+        whole.gathered[:] = 0
+        cpu.see(0, levels, time_s, whole, sensor, row, seed)
+        state, on, off = step(v2es, before, levels, time_s)
+        for counts in (signed, whole.gathered[0]):
+            np.testing.assert_array_equal(counts, on - off)
+        for pixels in (apart, whole):
+            np.testing.assert_array_equal(pixels.base[0], state.base_log)
+            np.testing.assert_array_equal(pixels.last_s[0], state.last_event_s)
+            np.testing.assert_array_equal(pixels.filtered, state.filtered_log[None][: len(pixels.filtered)])
+        rests += int(np.sum(step(restless, before, levels, time_s)[1:]) - on.sum() - off.sum())
+    assert rests > 500

@@ -408,7 +408,7 @@ def test_weights_and_biases_needs_its_package(monkeypatch: pytest.MonkeyPatch) -
         ({"algorithm": "alphazero"}, "algorithm = 'alphazero' is unknown"),
         ({"algorithm": "sb3_sac"}, "algorithm = 'sb3_sac' is unknown; there are double_dqn, ppo, sb3_dqn"),
         ({"options": {"learning_tempo": 1}}, "options of double_dqn: unknown key 'learning_tempo'"),
-        ({"start_from": "runs/none"}, "runs/none: holds no policy"),
+        ({"start_from": "runs/none"}, "^start_from: runs/none: holds no policy"),
         ({"start_from": "default", "hidden": [8]}, "start_from = 'default': another network"),
     ],
 )

@@ -87,9 +87,16 @@ def select(tree: Tree, games: Any) -> Tree:
     return mapped(lambda array: array[games], tree)
 
 
-def one_of(tree: Tree, game: int) -> Tree:
-    """Return a game's part of all arrays, as plain numbers and lists."""
-    return mapped(lambda array: array[game].tolist() if getattr(array, "ndim", 0) else array, tree)
+def each_of(tree: Tree, count: int) -> list[Tree]:
+    """Return the part of each of `count` games of all arrays, as plain numbers and lists; the rest is everyone's."""
+    if isinstance(tree, Mapping):
+        parts = {name: each_of(part, count) for name, part in tree.items()}
+        return [{name: part[game] for name, part in parts.items()} for game in range(count)]
+    if isinstance(tree, list | tuple):
+        make: Callable[[Any], Tree] = getattr(tree, "_make", list)
+        inside = [each_of(part, count) for part in tree]
+        return [make(part[game] for part in inside) for game in range(count)]
+    return tree.tolist() if getattr(tree, "ndim", 0) else [tree] * count
 
 
 def assign(tree: Tree, games: Any, values: Tree) -> None:

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import torch as th
 
-from uavaccel.envs.arrays import assign_where, joined, mapped, named_leaves, one_of, select, stacked
+from uavaccel.envs.arrays import assign_where, each_of, joined, mapped, named_leaves, select, stacked
 from uavaccel.envs.cuda_clocks import DeviceClocks
 from uavaccel.envs.cuda_games import games_of
 from uavaccel.envs.cuda_view import view_of
@@ -387,7 +387,7 @@ class CudaLanes:
             stacked([found.own_course]), numbers, commands, place, collision, commands, commands, commands, numbers
         )
         times_ns = whole[:, AT.wall_ns], row[:, AT.phase_ns :]
-        info = one_of(self.judge.infos(games, row[:, AT.success] > 0.0, *times_ns), 0)
+        info = each_of(self.judge.infos(games, row[:, AT.success] > 0.0, *times_ns), 1)[0]
         info["collision"] = None if collision[0] < 0 else self.judge.objects[collision[0]]
         conditions = {name: found.course[name] for name in (CONDITIONS,) if name in found.course}
         return {**info, **conditions}

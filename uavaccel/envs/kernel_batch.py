@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from uavaccel.clock import MonotonicClock
 from uavaccel.config import MOST_PROCESSES
-from uavaccel.envs.arrays import assign, mapped, named_leaves, one_of, select, stacked
+from uavaccel.envs.arrays import assign, each_of, mapped, named_leaves, select, stacked
 from uavaccel.envs.batch import TurnBatch, set_up
 from uavaccel.envs.checks import actions_of, whole_number
 from uavaccel.envs.flight_env import CONDITIONS, FlightEnv
@@ -300,7 +300,7 @@ class KernelBatch(TurnBatch):
         clock = self._clocks.row[lanes]
         wall_ns, phases_ns = clock[:, timeline.NOW] - clock[:, timeline.START], clock[:, timeline.FIRST_PHASE :]
         infos = self._judge.infos(games, won, wall_ns, phases_ns)
-        each = [one_of(infos, place) for place in range(len(lanes))]
+        each: list[Info] = each_of(infos, len(lanes))
         for lane, info in zip(lanes.tolist(), each, strict=True):
             collision, course = info["collision"], self._drawn[lane].course
             info["collision"] = None if collision < 0 else self._judge.objects[collision]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple, TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from numba import njit
@@ -43,19 +43,17 @@ def fill_thresholds(nominal: float, sigma: float, normal: Operand, out: Operand)
 
 
 @part(error_model="numpy")
-def after_dead_time(signed: Operand, camera: Operand, last_s: Operand, before_s: float, time_s: float) -> Any:
-    """Return the signed counts without the events within the refractory period."""
-    most = max(1, signed.max(), -signed.min())
-    if camera[events.REFRACTORY] <= (time_s - before_s) / most:
-        return signed
-    stamps_s = np.empty(most, np.float32)
-    for number in range(most):
-        stamps_s[number] = events.stamp(before_s, time_s, most, number)
-    kept, last = dvs.drop_refractory(signed, stamps_s, last_s, np.float32(camera[events.REFRACTORY]))
-    for y in range(last.shape[0]):
-        for x in range(last.shape[1]):
-            last_s[y, x] = last[y, x]
-    return kept
+def suppress(signed: Operand, camera: Operand, last_s: Operand, before_s: float, time_s: float) -> None:
+    """Take the events within the refractory period away from signed counts."""
+    most, refractory_s = max(1, signed.max(), -signed.min()), camera[events.REFRACTORY]
+    if refractory_s <= (time_s - before_s) / most:
+        return
+    for y in range(signed.shape[0]):
+        for x in range(signed.shape[1]):
+            if signed[y, x] != 0:
+                signed[y, x], last_s[y, x] = events.kept_events(
+                    signed[y, x], last_s[y, x], np.float32(refractory_s), before_s, time_s, most
+                )
 
 
 @part(error_model="numpy")
@@ -93,7 +91,7 @@ def see(
         picture, (base, filtered), thresholds, hot, sensor.leak_factor, camera, sensor, normals, dt_s
     )
     if pixels.last_s.size:
-        signed = after_dead_time(signed, camera, pixels.last_s[lane], before_s, time_s)
+        suppress(signed, camera, pixels.last_s[lane], before_s, time_s)
     base, noise = dvs.memorise(picture, log, before, signed, thresholds, camera, sensor, draws, dt_s)
     side = signed.shape[0] // gathered.shape[0]
     for y in range(signed.shape[0]):
