@@ -34,6 +34,8 @@ run robustness --set latency_scale=[-1] -> latency_scale.0 = -1: should be great
 run robustness --set latency_scale=[1, 1] -> has 1 twice
 run robustness --set evaluation.keys={task.histry: 1} -> unknown key 'task.histry'
 run robustness --set evaluation.experiment=dp1 -> dp1
+run dp2 --set lane=nowhere.yaml -> dp2.yaml: lane: nowhere.yaml: No such file
+run robustness --set agent="a\\0b" -> the name of a file has a null byte in it
 run robustness --set agent=nowhere -> nowhere: holds no policy
 train --set task.timing=wall --set environments=2 -> environments must be 1 with timing wall
 train --set algorithm=sb3_ppo --set start_from=default -> start_from needs algorithm double_dqn, not sb3_ppo

@@ -269,7 +269,8 @@ def test_another_evaluation_does_not_go_on_in_its_folder() -> None:
     with pytest.raises(UserError, match=r"^other: no evaluation of a policy, but not empty; take another folder$"):
         certify(Count, same, out="other", resume=True)
     rows = Path("out/rows.jsonl").read_text().splitlines()
-    for changed in (rows[::-1], [row.replace("thinking_s", "thought_s") for row in rows]):
+    named = ([row.replace(f'"{name}"', '"other"') for row in rows] for name in ("thinking_s", "success"))
+    for changed in (rows[::-1], *named):
         Path("out/rows.jsonl").write_text("\n".join(changed) + "\n")
         with pytest.raises(UserError, match=r"^out/rows.jsonl: its rows are not those of this evaluation"):
             certify(Count, same, [0.01], episodes=2, out="out", resume=True)

@@ -477,6 +477,7 @@ def servers(s: Script) -> None:
             s.say(connection.recv(9))
         server.shutdown()
         thread.join()
+        s.say(thread.is_alive())
 
 
 @program

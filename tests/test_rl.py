@@ -183,7 +183,7 @@ def test_a_cell_learns_from_pictures(tmp_path: Path) -> None:
         ([], {"clock_speed": [7.0]}, r"clock_speed = 7.0 is in no cell; there are 1.0, 5.0, 100.0"),
         ([], {"profile": "native", "command": ["adsc"]}, "together select no cell"),
         ([], {"timing": "wall"}, "should be 'virtual' or 'lockstep'"),
-        (["evaluation.keys.gamess=1"], {}, "evaluate.yaml: unknown key 'gamess'"),
+        (["evaluation.keys.gamess=1"], {}, "^part evaluate.yaml: unknown key 'gamess'"),
         (["training.keys.environment=2"], {}, "train.yaml: unknown key 'environment'"),
         (["cells.2={profile: airsim, clock_speed: [5]}"], {}, "airsim virtual tcsc at 5x twice; give one a `variant`"),
         (["exact.keys.games=3"], {}, r"exact\.keys: games, first_lane and task\.split must be those of evaluation"),

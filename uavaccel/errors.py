@@ -49,6 +49,8 @@ def mistake_of(error: BaseException) -> UserError | None:
         if error.filename is not None:
             return UserError(f"{error.filename}: {error.strerror}")
         return UserError(f"cannot write: {error.strerror}")  # only opening a file reports its name
+    if isinstance(error, ValueError) and str(error) == "embedded null byte":  # of a path, which it does not name
+        return UserError("the name of a file has a null byte in it")
     if isinstance(error, MemoryError):
         return UserError("not enough memory: fewer environments, a smaller buffer_size, or fewer --jobs")
     return None

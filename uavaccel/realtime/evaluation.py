@@ -446,7 +446,7 @@ class _Folder:
         failed = next((place for place, row in enumerate(rows) if "error" in row), len(rows))
         there = [(row.get("latency"), row.get("seed")) for row in rows]
         numbers = [row.get(name) for row in rows[:failed] for name in ("return", "thinking_s")]
-        known = all(row.get("success") in (None, True, False) for row in rows)
+        known = all(row.get("success", "missing") in (None, True, False) for row in rows[:failed])
         if there != list(plan[: len(rows)]) or not known or None in map(real, numbers):
             raise UserError(f"{self.rows}: its rows are not those of this evaluation; take another folder")
         if failed < len(rows):

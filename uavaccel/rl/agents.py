@@ -313,7 +313,10 @@ def first_policy(config: LearnerConfig) -> QPolicy:
     policy: QPolicy = make_policy(config)
     if config.start_from is not None:
         folder = policy_folder(config.start_from)
-        started = load_policy(folder)
+        try:
+            started = load_policy(folder)
+        except UserError as error:
+            raise UserError(f"start_from: {error}") from error
         try:
             policy.load_state_dict(started.network.state_dict())
         except RuntimeError as error:

@@ -292,7 +292,10 @@ def parse_lane(lane: object) -> object:
 
     For use in validators, inside which pydantic refuses a list for a tuple. Raises UserError naming file and key.
     """
-    written = load_yaml(Path(lane)) if isinstance(lane, str) else lane
+    try:
+        written = load_yaml(Path(lane)) if isinstance(lane, str) else lane
+    except UserError as error:
+        raise UserError(f"lane: {error}") from None
     if isinstance(written, Mapping) and "seed" not in written:
         return validate(LaneFile, written, lane if isinstance(lane, str) else "lane")
     return written

@@ -53,7 +53,7 @@ class Part(Config):
         """Return suite and configuration. Raises UserError."""
         mapping, source = read_mapping(self.experiment)
         suite = find_suite(mapping.get("suite"), source)
-        return suite, configuration(suite, merged(mapping, {"seed": seed, **self.keys}), source)
+        return suite, configuration(suite, merged(mapping, {"seed": seed, **self.keys}), f"part {source}")
 
 
 class SuiteOfRuns(Suite[ConfigType, CaseType]):
