@@ -98,6 +98,11 @@ def _paint(lane: int, looks: Any, games: Any, now: Any, scratch: Any, gray: Any)
     cpu.paint(lane, looks, games, now, scratch, gray)
 
 
+def sees(*arguments: Any) -> bool:
+    """Whether a kernel computes events, and does not count beforehand: `arguments` end with an events.Rest or ()."""
+    return arguments[-1] == () or not arguments[-1].counting
+
+
 class Kernels:
     """Each kernel as an attribute; `kernel[grid](flags of lanes, ...)` runs at once."""
 
@@ -163,7 +168,8 @@ class Kernels:
         self._see(which, 1, take, True, plan, *of_lanes)
 
     def run_see_noise(self, which: Any, tick_ns: int, take: int, faces: Any, shown: Any, *of_lanes: Any) -> None:
-        self._see(which, tick_ns, take, False, *of_lanes)
+        if sees(*of_lanes):
+            self._see(which, tick_ns, take, False, *of_lanes[:-1])
 
     def _see(self, which: Any, tick_ns: int, take: int, plain: bool, plan: Any, *of_lanes: Any) -> None:
         games, now, pixels, frames = of_lanes
@@ -229,8 +235,8 @@ class Kernels:
             cpu.start(lane, gray[lane], pixels, sensor, games.cameras[now.game[lane]])
 
     def run_cast_events(self, which: Any, tick_ns: int, gray: Any, sensor: Any, *of_lanes: Any) -> None:
-        games, now, pixels = of_lanes
-        for lane in which:
+        games, now, pixels, _ = of_lanes
+        for lane in which if sees(*of_lanes) else ():
             if lanes.touched(lane, now):
                 continue
             game, time_s = now.game[lane], cpu.moment_ns(lane, now, tick_ns) * events.NS

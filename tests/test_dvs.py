@@ -187,6 +187,20 @@ def test_a_pixel_rests_up_to_its_refractory_period_and_fires_after_it() -> None:
         assert on.sum() == fires
 
 
+@pytest.mark.parametrize(("spacing_s", "can"), [(0.002, True), (0.02, True), (0.06, False), (0.5, False)])
+def test_frames_far_apart_leave_no_events_to_suppress(spacing_s: float, can: bool) -> None:
+    """Where none can be, not even one black and one white frame after another have events that are too close."""
+    parameters = replace(dvs.PRESETS["command_line"], cutoff_hz=0.0, leak_rate_hz=20.0, hot_share=0.2)
+    sensor = dvs.make_sensor(parameters, (144, 256), seed=0)
+    assert dvs.can_suppress(sensor, spacing_s) == can
+    assert not dvs.can_suppress(sensor._replace(parameters=replace(parameters, refractory_s=0.0)), spacing_s)
+    state, suppressed = dvs.init_state(sensor, np.zeros((144, 256), np.uint8)), False
+    for number in range(1, 7):
+        state, _, _ = dvs.step(sensor, state, np.full((144, 256), 255 * (number % 2), np.uint8), number * spacing_s)
+        suppressed |= bool((state.last_event_s > 0.0).any())
+    assert suppressed == can
+
+
 def bright(level: int) -> NDArray:
     return np.full((1, 1), level, np.uint8)
 

@@ -19,9 +19,9 @@ import torch as th
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
-from tests.host_kernels import a_gpu, host_kernels  # noqa: F401 - fixtures
+from tests.host_kernels import ON_A_GPU, a_gpu, host_kernels  # noqa: F401 - fixtures
 from tests.lanes import SideBySide, assert_same, stored
-from tests.own_tasks import Post, Spin
+from tests.own_tasks import Post, Resting, Spin
 from uavaccel.envs import kernel_games
 from uavaccel.envs.arrays import mapped, select
 from uavaccel.envs.flight_env import FlightEnv
@@ -479,6 +479,38 @@ def test_cameras_see_the_same_in_all_simulators(case: Case) -> None:
 @pytest.mark.usefixtures("a_gpu")
 def test_clutter_is_the_same_for_cores_and_a_gpu(case: Case) -> None:
     fly_everywhere(case)
+
+
+CLOSE = {"observation": "dvs", "dvs_rate_hz": 500.0, "t_move_s": 0.1, "t_sample_s": 0.1, "speed_m_s": 6.0}
+HALF_A_MS, LONG = {"dvs_preset": "command_line"}, {"refractory_s": 0.05}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("kind", "keys"),
+    [
+        (ObstacleLane, HALF_A_MS),
+        (Resting, LONG),
+        (Resting, {**LONG, "dvs_preset": "noisy", "image_noise": 3.0}),
+        (Navigate, {**HALF_A_MS, "clutter": {"shapes": 250}, "picture_size": [32, 20]}),
+    ],
+    ids=["within a frame", "over frames", "over noisy frames", "clutter"],
+)
+@pytest.mark.usefixtures("a_gpu", "kernels_pictures")
+def test_pixels_rest_as_long_in_all_simulators(kind: Any, keys: Keys) -> None:
+    """Frames of an event camera come every 2 ms, two commands of them."""
+    case = Case(kind, {**CLOSE, **keys}, seed=2, commands=2, noise=0.0, work_s=0.0)
+    with ExitStack() as stack:
+        engines = Engines(case, stack)
+        engines.reset(case.seed)
+        for actions in actions_of(case, engines.lanes.batch.single_action_space):
+            engines.step(actions, in_turns=False)
+        for lane, theirs in enumerate(engines.lanes.batch.call_each("get_state", [()] * LANES)):
+            ours, rested = engines.device.get_state(lane), theirs["pixels.last_s"] > 0.0
+            assert rested.mean() > 0.1, "of pixels that have had events while it mattered"
+            for name, least in (("pixels.last_s", 0.002), ("pixels.base", 1e-4)):  # a GPU's flights are its own
+                share = np.mean(np.abs(ours[name] - theirs[name]) > least * ON_A_GPU)
+                assert share <= 0.02 * ON_A_GPU, name
 
 
 @pytest.mark.usefixtures("a_gpu", "kernels_pictures")

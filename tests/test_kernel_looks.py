@@ -16,7 +16,7 @@ from tests.opengl import needs_opengl
 from tests.scenes import Scene
 from uavaccel.envs.obstacle_lane import ObstacleLane
 from uavaccel.errors import UserError
-from uavaccel.kernels import events, rays
+from uavaccel.kernels import cpu, events, rays
 from uavaccel.kernels import fields as at
 from uavaccel.kernels.appearance import empty_scenes, fill_scenes, mipmaps, read_appearance
 from uavaccel.kernels.faces import project
@@ -178,70 +178,45 @@ def seen_events(pictures: NDArray[np.uint8]) -> NDArray[np.int64]:
     return np.array(counts, np.int64)
 
 
-@njit(error_model="numpy")
-def covers(faces: Any, face: Any, column: Any, row: Any) -> bool:
-    """Return whether a pixel is inside a face's edges."""
-    inside = True
-    for edge in range(4):
-        inside = inside and rays.linear(faces, face, at.EDGES + 3 * edge, column, row) >= rays.ZERO
-    extra = int(faces[face, at.EXTRA])
-    if inside and extra > 0:
-        for edge in range(8):
-            inside = inside and rays.linear(faces, extra, 3 * edge, column, row) >= rays.ZERO
-    return inside
+def linear(faces: Floats, face: Any, field: int, rows: Any, columns: Any) -> Floats:
+    """A linear function of pixels, in single precision."""
+    of = faces[face, field : field + 3].T
+    return of[0] * np.float32(columns) + (of[1] * np.float32(rows) + of[2])
 
 
-@njit(error_model="numpy")
-def nearest_face(faces: Any, row: Any, column: Any) -> Any:
-    """Return the face that a pixel shows, 0 for the sky."""
-    x, y = np.float32(column), np.float32(row)
-    near, best, shown = faces[0, at.NEAR_W], faces[0, at.FAR_W], 0
+def nearest_faces(faces: Floats, rows: Any, columns: Any) -> NDArray[np.int64]:
+    """The faces that pixels show, 0 for the sky."""
+    rows, columns = np.broadcast_arrays(rows, columns)
+    best, shown = np.full(rows.shape, faces[0, at.FAR_W]), np.zeros(rows.shape, int)
     for face in range(1, int(faces[0, at.COUNT])):
-        if faces[face, at.NEAREST_W] > best:
-            w = rays.linear(faces, face, at.W, x, y)
-            if w > best and w <= near and covers(faces, face, x, y):
-                best, shown = w, face
+        w = linear(faces, face, at.W, rows, columns)
+        seen = (faces[face, at.NEAREST_W] > best) & (w > best) & (w <= faces[0, at.NEAR_W])
+        edges = [(face, at.EDGES + 3 * edge) for edge in range(4)]
+        if extra := int(faces[face, at.EXTRA]):
+            edges += [(extra, 3 * edge) for edge in range(8)]
+        for of, field in edges:
+            seen &= linear(faces, of, field, rows, columns) >= 0
+        best[seen], shown[seen] = w[seen], face
     return shown
-
-
-@njit(error_model="numpy")
-def luma_at(faces: Any, texels: Any, textures: Any, row: int, column: int) -> Any:
-    """Return the luma of a pixel."""
-    red, green, blue = rays.colour_of(faces, nearest_face(faces, row, column), texels, textures, row, column)
-    return luma_of(red, green, blue)
-
-
-@njit(error_model="numpy")
-def depth_at(faces: Any, row: int, column: int) -> Any:
-    """Return the depth of a pixel, metres along the optical axis."""
-    face = nearest_face(faces, row, column)
-    w = rays.linear(faces, face, at.W, np.float32(column), np.float32(row)) if face else faces[0, at.FAR_W]
-    return rays.ONE / w
-
-
-@njit
-def one_by_one(appearance: Any, scenes: Any, lane: int, place: Floats, quaternion: Floats, faces: Any) -> Any:
-    """Column 100 of a picture, and row 70 of its depths."""
-    alone = np.zeros(at.ROWS, np.uint8)
-    depths, texels, textures = np.zeros(at.COLUMNS, np.float32), appearance.texels, appearance.textures
-    project(appearance, scenes, lane, place, quaternion, True, faces)
-    for row in range(at.ROWS):
-        alone[row] = luma_at(faces, texels, textures, row, 100)
-    project(appearance, scenes, lane, place, quaternion, False, faces)
-    for column in range(at.COLUMNS):
-        depths[column] = depth_at(faces, 70, column)
-    return alone, depths
 
 
 @pytest.mark.slow
 def test_a_pixel_alone_is_that_of_the_picture(appearance: Appearance) -> None:
+    """Column 100 of a picture, and row 70 of its depths."""
     arguments = laid_out(appearance, drawn_views(6, seed=4))
-    faces = np.zeros((at.FACES, at.FIELDS), np.float32)
+    faces, rows, columns = np.zeros((at.FACES, at.FIELDS), np.float32), np.arange(at.ROWS), np.arange(at.COLUMNS)
     for number, (picture, depths) in enumerate(zip(render_gray(*arguments), render_depth(*arguments), strict=True)):
-        pose = arguments[3][number], arguments[4][number]
-        alone, deep = one_by_one(appearance, arguments[1], number, *pose, faces)
+        scene = appearance, arguments[1], number, arguments[3][number], arguments[4][number]
+        project(*scene, True, faces)
+        alone = [
+            luma_of(*rays.colour_of(faces, face, appearance.texels, appearance.textures, row, 100))
+            for row, face in enumerate(nearest_faces(faces, rows, 100).tolist())
+        ]
         assert np.sum(alone != picture[:, 100]) <= 1
-        assert np.mean(np.abs(deep / depths[70] - 1) > 1e-5) <= 0.01
+        project(*scene, False, faces)
+        shown = nearest_faces(faces, 70, columns)
+        w = np.where(shown > 0, linear(faces, shown, at.W, 70, columns), faces[0, at.FAR_W])
+        assert np.mean(np.abs(1 / w / depths[70] - 1) > 1e-5) <= 0.01
 
 
 def test_tiles_touch_every_face_that_they_show(appearance: Appearance) -> None:
@@ -252,8 +227,8 @@ def test_tiles_touch_every_face_that_they_show(appearance: Appearance) -> None:
         for top, left in np.ndindex(3, 4):
             ends = [np.float32(end) for end in (48 * top, 48 * top + 47, 64 * left, 64 * left + 63)]
             touched = {face for face in range(1, count) if rays.touches(faces, face, *ends)}
-            corners = [(48 * top + row, 64 * left + column) for row in (0, 13, 47) for column in (0, 29, 63)]
-            assert {nearest_face(faces, *pixel) for pixel in corners} <= touched | {0}
+            corners = np.array([(48 * top + row, 64 * left + column) for row in (0, 13, 47) for column in (0, 29, 63)])
+            assert set(nearest_faces(faces, *corners.T).tolist()) <= touched | {0}
 
 
 @needs_opengl
@@ -354,7 +329,7 @@ def see_both(levels: Any, camera: Any, sensor: Any, plain: Any, full: Any) -> tu
             quick += update_quad(lumas, known, camera, sensor, plain, place, place)
             for part in range(4):
                 y, x = row + part // 2, column + part % 2
-                slow += events.update_pixel(levels[y, x], camera, sensor, full, none, zero, y, x, 0.1)
+                slow += events.update_pixel(levels[y, x], camera, sensor, full, none, zero, y, x, (0, 0.0, 0.1), ())
     return quick, slow
 
 
@@ -393,3 +368,61 @@ def test_quads_without_noise_see_what_pixels_see(sigma: float, negative: float) 
         quick, slow = see_both(rng.integers(0, 256, shape), tuple(row), sensor, plain, full)
         assert quick == slow != 0
         np.testing.assert_array_equal(plain[0], full)
+
+
+@njit
+def see_apart(levels: Any, time_s: float, camera: Any, sensor: Any, pixels: Any, seed: int) -> Any:
+    """As threads of a GPU see a picture, of four pixels each: they find the largest count, then begin anew."""
+    signed, most = np.zeros(levels.shape, np.int64), np.ones(1, np.int32)
+    filtered = pixels.filtered[0] if pixels.filtered.size else pixels.filtered[0:0, 0]
+    for counting in (1, 0):
+        rest = events.Rest(pixels.last_s, most, counting)
+        for block in range(levels.size // 4):
+            normals, draws = events.block_draws(camera, seed, pixels.clock[0] + 1, block)
+            for number in range(4):
+                y, x = divmod(4 * block + number, levels.shape[1])
+                signed[y, x] += events.update_pixel(
+                    *(levels[y, x], camera, sensor, pixels.base[0], filtered, (normals[number], draws[number])),
+                    *(y, x, (0, pixels.time_s[0], time_s), rest),
+                )
+    pixels.clock[0], pixels.time_s[0] = pixels.clock[0] + 1, time_s
+    return signed
+
+
+NOISES: dict[str, dict[str, float]] = {
+    "plain": {},
+    "leak": {"leak_rate_hz": 40.0, "leak_jitter_fraction": 0.1, "leak_rate_spread_decades": 0.1, "hot_share": 0.1},
+    "shots": {"shot_noise_rate_hz": 30.0},
+    "filter": {"cutoff_hz": 60.0, "leak_rate_hz": 9.0, "shot_noise_rate_hz": 9.0},
+}
+
+
+@pytest.mark.parametrize("noise", NOISES.values(), ids=NOISES)
+@pytest.mark.parametrize("refractory_s", [0.0001, 0.0005, 0.01])
+def test_pixels_rest_as_v2es_do_one_by_one_and_all_at_once(refractory_s: float, noise: dict[str, float]) -> None:
+    """Frames come 1 to 20 ms after one another, and a pixel has up to several tens of events in one."""
+    rng, shape, seed, now_ns, rests = np.random.default_rng(1), (24, 32), 5, 0, 0
+    parameters = DvsParameters(threshold_sigma=0.05, refractory_s=refractory_s, **noise)
+    sensor, row = events.sensor_of(sample_pixels(parameters, shape, 3)), events.camera_row(parameters)
+    apart, whole = (events.pixels_of(1, parameters, shape, shape) for _ in range(2))
+    levels, v2es = rng.integers(0, 256, shape, np.uint8), make_sensor(parameters, shape, 3)
+    restless = v2es._replace(parameters=replace(parameters, refractory_s=0.0))
+    state = init_state(v2es, levels, noise_seed=seed)
+    for pixels in (apart, whole):
+        cpu.start(0, levels, pixels, sensor, row)
+    for _ in range(40):
+        now_ns += int(rng.choice([1, 2, 7, 20])) * 1_000_000
+        levels = np.where(rng.random(shape) < 0.4, rng.integers(0, 256, shape, np.uint8), levels)
+        before, time_s = state, now_ns * events.NS
+        signed = see_apart(levels, time_s, tuple(row), sensor, apart, seed)
+        whole.gathered[:] = 0
+        cpu.see(0, levels, time_s, whole, sensor, row, seed)
+        state, on, off = step(v2es, before, levels, time_s)
+        for counts in (signed, whole.gathered[0]):
+            np.testing.assert_array_equal(counts, on - off)
+        for pixels in (apart, whole):
+            np.testing.assert_array_equal(pixels.base[0], state.base_log)
+            np.testing.assert_array_equal(pixels.last_s[0], state.last_event_s)
+            np.testing.assert_array_equal(pixels.filtered, state.filtered_log[None][: len(pixels.filtered)])
+        rests += int(np.sum(step(restless, before, levels, time_s)[1:]) - on.sum() - off.sum())
+    assert rests > 500

@@ -17,15 +17,15 @@ from uavaccel.envs.navigate import Navigate
 from uavaccel.envs.obstacle_lane import ObstacleLane
 
 COMPUTE_CAPABILITY = (9, 0)
-NOISY = {"dvs_preset": "noisy"}
+NOISY, RESTING = {"dvs_preset": "noisy"}, {"dvs_preset": "command_line", "dvs_rate_hz": 100.0}
 ADSC = {"command": "adsc", "timing": "virtual", "profile": "airsim"}
 FLOWN: list[tuple[Any, dict[str, Any]]] = [
     *((ObstacleLane, {"observation": kind}) for kind in ("dvs", "colour", "depth", "state")),
     *((ObstacleLane, NOISY | ADSC | {"observation": kind}) for kind in ("dvs", "colour")),
-    (ObstacleLane, {"dvs_rate_hz": 100.0}),
+    (ObstacleLane, RESTING),
     (ObstacleLane, {"mediation": {"gap_s": 0.1, "start_speed": 0.5}}),
     *((Navigate, {"observation": kind}) for kind in ("dvs", "colour")),
-    (Navigate, NOISY | {"observation": "dvs"}),
+    *((Navigate, sensor | {"observation": "dvs"}) for sensor in (NOISY, RESTING)),
     (Gates, {"observation": "depth", "action": "rates", "t_move_s": 0.02, "t_sample_s": 0.02}),
 ]
 

@@ -9,13 +9,15 @@ from typing import Any
 import torch as th
 
 from uavaccel.envs.cuda_games import LaneGames
+from uavaccel.envs.kernel_games import slices_of
 from uavaccel.envs.sensors import blank_frame
-from uavaccel.envs.simulators import kind_of
+from uavaccel.envs.simulators import kind_of, passes_together
 from uavaccel.envs.task import Task
 from uavaccel.kernels import cuda as kernels
 from uavaccel.kernels import events, tiles
 from uavaccel.kernels.fields import COLUMNS, DEPTH, DVS, FIELDS, ROWS, STATE, Looks
-from uavaccel.vision.dvs_sensor import BLOCK_SIDE, sample_pixels
+from uavaccel.vision.dvs import can_suppress
+from uavaccel.vision.dvs_sensor import BLOCK_SIDE, make_sensor, sample_pixels
 
 
 class View(ABC):
@@ -34,6 +36,11 @@ class View(ABC):
         pixels = events.pixels_of(games.count if self.kind == DVS else 0, parameters, size, frame)
         camera = events.camera_row(parameters, task.image_noise)
         self._noisy = not games.one_camera or not events.is_plain(camera, pixels.filtered.size)
+        rests = self.kind == DVS and parameters.refractory_s > 0
+        if rests and games.one_camera:
+            ticks = 1 if task.dvs_ticks or not passes_together(task) else int(slices_of(task).ticks.min())
+            rests = can_suppress(make_sensor(parameters, size, task.dvs_seed), ticks * tick_ns * events.NS)
+        self._most = th.ones(games.count if rests else 0, dtype=th.int32, device=device)
         self.pixels, self._pixels = kernels.on_device(pixels, device)
         looks, looks_arrays = kernels.on_device(maker.looks, device)
         draws = events.sensor_of(sample_pixels(parameters, size, task.dvs_seed))
@@ -69,6 +76,13 @@ class View(ABC):
         """Return a kernel, to be launched with so many threads a lane."""
         return getattr(self.kernels, name)[kernels.grid(self._count * threads, per_block)]
 
+    def _passes(self) -> Sequence[tuple[Any, ...]]:
+        """Return what each of a frame's passes over the pixels is told of their rest: the first may only count."""
+        if not len(self._most):
+            return [()]
+        self._most.fill_(1)
+        return [events.Rest(self._pixels.last_s, kernels.shared(self._most), counting) for counting in (1, 0)]
+
     def _finish(self, which: Any, now: Any) -> None:
         self._kernel("finish", 1, kernels.FLYING_THREADS)(which, self._tick_ns, now, self._pixels)
 
@@ -97,7 +111,8 @@ class SceneView(View):
             return
         seeing = kernels.shared(self._gray), self.plan.sensor, self._games, now, self._pixels
         blocks = -(-self._size[0] * self._size[1] // BLOCK_SIDE)
-        self._kernel("cast_events", blocks)(going, self._tick_ns, *seeing)
+        for rest in self._passes():
+            self._kernel("cast_events", blocks)(going, self._tick_ns, *seeing, rest)
         self._finish(going, now)
         if take:
             self._launch("take_frames", self._frame)(going, now, self._pixels, kernels.shared(frames[:, 0]))
@@ -143,8 +158,10 @@ class LaneView(View):
         going, faces, shown = self._looked_at(which)
         seen = (faces, shown, self.plan, self._games, now, self._pixels, kernels.shared(frames[:, 0]))
         self._kernel("see", kernels.SEEING_THREADS_A_LANE)(going, int(take), *seen)
-        if self._noisy:
-            self._kernel("see_noise", kernels.SEEING_THREADS_A_LANE)(going, self._tick_ns, int(take), *seen)
+        passes = self._passes() if self._noisy else []
+        for rest in passes:
+            taken = int(take and rest is passes[-1])
+            self._kernel("see_noise", kernels.SEEING_THREADS_A_LANE)(going, self._tick_ns, taken, *seen, rest)
         self._finish(going, now)
 
     def show(self, which: th.Tensor, frames: th.Tensor) -> None:

@@ -56,6 +56,11 @@ def _signed_count(log, base, positive, negative):  # type: ignore[no-untyped-def
     return lambda log, base, positive, negative: function(log, base, positive, negative)
 
 
+@overload(events.raise_to)
+def _raise_in_turn(numbers, place, least):  # type: ignore[no-untyped-def]
+    return lambda numbers, place, least: cuda.atomic.max(numbers, place, least)
+
+
 for _function, _chosen in events.BY_TYPE:
     overload(_function)(_signed_count if _function is signed_count else _chosen)
 
@@ -241,14 +246,20 @@ def start_pixel(level, camera, sensor, pixels, lane, row, column):  # type: igno
 
 
 @cuda.jit(device=True)
-def noisy_pair(levels, camera, sensor, base, filtered, noise, y, x, dt_s):  # type: ignore[no-untyped-def]
+def noisy_pair(levels, camera, sensor, base, filtered, noise, y, x, moment, rest):  # type: ignore[no-untyped-def]
     """Return ON minus OFF events of two adjacent pixels of a camera with noise or a low-pass filter."""
     normals, draws = events.block_draws(camera, noise[0], noise[1], (y * at.COLUMNS + x) // BLOCK_SIDE)
     later = x % BLOCK_SIDE != 0
     first = (normals[2], draws[2]) if later else (normals[0], draws[0])
     second = (normals[3], draws[3]) if later else (normals[1], draws[1])
-    signed = events.update_pixel(levels[0], camera, sensor, base, filtered, first, y, x, dt_s)
-    return signed + events.update_pixel(levels[1], camera, sensor, base, filtered, second, y, x + 1, dt_s)
+    signed = events.update_pixel(levels[0], camera, sensor, base, filtered, first, y, x, moment, rest)
+    return signed + events.update_pixel(levels[1], camera, sensor, base, filtered, second, y, x + 1, moment, rest)
+
+
+@cuda.jit(device=True)
+def moment_of(lane, moment_ns, pixels):  # type: ignore[no-untyped-def]
+    """Return the lane, and the times of its camera's last frame and of this one (events.update_pixel)."""
+    return lane, pixels.time_s[lane], events.seconds(moment_ns)
 
 
 @cuda.jit(device=True)
@@ -287,8 +298,8 @@ def see(going, take, faces, shown, plan, games, now, pixels, frames):  # type: i
     add_to_block(total, take, lane, y, x, pixels, frames)
 
 
-def see_noise(going, tick_ns, take, faces, shown, plan, games, now, pixels, frames):  # type: ignore[no-untyped-def]
-    """Do as `see` for cameras with noise or low-pass filter, in a kernel apart: it needs more registers."""
+def see_noise(going, tick_ns, take, faces, shown, plan, games, now, pixels, frames, rest):  # type: ignore[no-untyped-def]
+    """Do as `see` for cameras that are not plain, in a kernel apart: it needs more registers (events.Rest)."""
     lane, y, x = pixels_of_thread()
     if lane >= np.uintp(len(going)) or going[lane] == 0 or now.state[lane].collision_tick != NEVER:
         return
@@ -298,15 +309,15 @@ def see_noise(going, tick_ns, take, faces, shown, plan, games, now, pixels, fram
         return
     base, total, moment_ns = pixels.base[lane], np.int32(0), now.state[lane].tick * tick_ns
     filtered = pixels.filtered[lane] if pixels.filtered.size else pixels.filtered[0:0, 0]
-    dt_s, noise = moment_ns * events.NS - pixels.time_s[lane], (seeds[EVENT_SEED], pixels.clock[lane] + 1)
+    moment, noise = moment_of(lane, moment_ns, pixels), (seeds[EVENT_SEED], pixels.clock[lane] + 1)
     for half in range(2):
         top = np.int32(y + 2 * half)
         first = lane * PIXELS_A_LANE + np.uintp(top * at.COLUMNS + x)
         levels = grey_quad(faces[lane], shown, first, plan, top, x)
         if camera[events.READ] > 0.0:
             levels = noisy_quad(levels, camera, seeds, moment_ns, top, x)
-        total += noisy_pair(levels[0:2], camera, plan.sensor, base, filtered, noise, top, x, dt_s)
-        total += noisy_pair(levels[2:4], camera, plan.sensor, base, filtered, noise, top + 1, x, dt_s)
+        total += noisy_pair(levels[0:2], camera, plan.sensor, base, filtered, noise, top, x, moment, rest)
+        total += noisy_pair(levels[2:4], camera, plan.sensor, base, filtered, noise, top + 1, x, moment, rest)
     add_to_block(np.int32(total), take, lane, y, x, pixels, frames)
 
 
@@ -558,7 +569,7 @@ def start_cast(going, gray, sensor, games, now, pixels):  # type: ignore[no-unty
         pixels.clock[lane], pixels.time_s[lane] = 0, 0.0
 
 
-def cast_events(going, tick_ns, gray, sensor, games, now, pixels):  # type: ignore[no-untyped-def]
+def cast_events(going, tick_ns, gray, sensor, games, now, pixels, rest):  # type: ignore[no-untyped-def]
     """Compute the events of the lanes that are `going`, BLOCK_SIDE pixels a thread, and add them to their blocks'."""
     rows, columns, side = gray.shape[1], gray.shape[2], divided(gray.shape[1], pixels.gathered.shape[1])
     thread, threads = np.uint32(cuda.grid(1)), np.uint32((rows * columns + BLOCK_SIDE - 1) // BLOCK_SIDE)
@@ -568,14 +579,15 @@ def cast_events(going, tick_ns, gray, sensor, games, now, pixels):  # type: igno
     game, block = now.game[lane], np.uint32(thread - np.uint32(lane) * threads)
     y = divided(block * np.uint32(BLOCK_SIDE), columns)
     x, camera = np.uint32(block * np.uint32(BLOCK_SIDE) - y * np.uint32(columns)), camera_of(games, game)
-    dt_s = now.state[lane].tick * tick_ns * events.NS - pixels.time_s[lane]
+    moment = moment_of(lane, now.state[lane].tick * tick_ns, pixels)
     normals, draws = events.block_draws(camera, games.seeds[game, EVENT_SEED], pixels.clock[lane] + 1, int(block))
     filtered = pixels.filtered[lane] if pixels.filtered.size else pixels.filtered[0:0, 0]
     for number in range(BLOCK_SIDE):
         if y >= rows:
             return
         level, draw = noisy_gray(gray, lane, y, x, tick_ns, games, now), (normals[number], draws[number])
-        signed = events.update_pixel(level, camera, sensor, pixels.base[lane], filtered, draw, int(y), int(x), dt_s)
+        memory = pixels.base[lane], filtered
+        signed = events.update_pixel(level, camera, sensor, *memory, draw, int(y), int(x), moment, rest)
         if signed != 0:
             cuda.atomic.add(pixels.gathered, (lane, divided(y, side), divided(x, side)), np.int32(signed))
         x = np.uint32(x + np.uint32(1))

@@ -99,11 +99,28 @@ def pixels_of(
     )
 
 
+class Rest(NamedTuple):
+    """What a frame's refractory periods need: `last_s` of Pixels, and each lane's largest count, `most` (L,) int32.
+
+    `most` is found first: while `counting` is not 0, pixels raise it, which is 1 before, and write nothing else.
+    """
+
+    last_s: Operand
+    most: Operand
+    counting: int
+
+
 @part
 def is_plain(camera: Operand, filtered: int) -> bool:
-    """Return whether a camera has neither noise nor, with `filtered` pixels, a low-pass filter."""
+    """Return whether a camera has no noise, no refractory period and, with `filtered` pixels, no low-pass filter."""
     quiet = camera[LEAK] <= 0.0 and camera[SHOT] <= 0.0 and camera[HOT] <= 0.0
-    return quiet and camera[READ] <= 0.0 and filtered == 0
+    return quiet and camera[READ] <= 0.0 and camera[REFRACTORY] <= 0.0 and filtered == 0
+
+
+@part(error_model="numpy")
+def seconds(moment_ns: int) -> float:
+    """Return a moment in seconds, rounded before anything is subtracted (sim/parts.times)."""
+    return times(np.float64(moment_ns), NS)
 
 
 @part
@@ -149,8 +166,80 @@ def _threshold(like, nominal, sigma, normal):  # type: ignore[no-untyped-def]
     return lambda like, nominal, sigma, normal: function(nominal, sigma, normal)
 
 
+@part
+def stamp(before_s: float, time_s: float, count: int, number: int) -> np.float32:
+    """Return the number-th of `count` time stamps (vision/dvs.time_stamps)."""
+    start = np.float32(before_s + (time_s - before_s) / count)
+    if count == 1:
+        return start
+    end = np.float32(time_s)
+    spacing = np.float64((end - start) / np.float32(count - 1))
+    if number < count // 2:
+        return np.float32(np.float64(start) + times(spacing, np.float64(number)))
+    return np.float32(np.float64(end) - times(spacing, np.float64(count - 1 - number)))
+
+
+@part(error_model="numpy")
+def kept_events(
+    signed: int, last_s: np.float32, refractory_s: np.float32, before_s: float, time_s: float, most: int
+) -> tuple[Any, np.float32]:
+    """Return a pixel's signed count without the events within `refractory_s` of one before, and its last event's time.
+
+    `most` is the largest count of a pixel in the frame, whose events are stamped after `before_s` and up to `time_s`.
+    """
+    kept = np.int32(0)
+    for number in range(abs(signed)):
+        stamp_s = stamp(before_s, time_s, most, number)
+        if stamp_s - last_s > refractory_s:
+            kept, last_s = np.int32(kept + 1), stamp_s
+    return kept if signed > 0 else np.int32(-kept), last_s
+
+
+def raise_to(numbers: Any, place: int, least: int) -> None:
+    """Let a number be `least` or more; on a GPU threads take turns (kernels/cuda_views)."""
+
+
+@overload(raise_to)
+def _raise_alone(numbers, place, least):  # type: ignore[no-untyped-def]
+    def raised(numbers, place, least):  # type: ignore[no-untyped-def]
+        numbers[place] = max(numbers[place], least)
+
+    return raised
+
+
+def rested(signed: Any, camera: Operand, y: int, x: int, moment: Operand, rest: Operand) -> tuple[Any, bool]:  # type: ignore[empty-body]
+    """Return a pixel's signed count without what its refractory period suppresses, and whether it is known yet."""
+
+
+@part
+def _as_is(signed: Any, camera: Operand, y: int, x: int, moment: Operand, rest: Operand) -> tuple[Any, bool]:
+    return signed, True
+
+
+@part(error_model="numpy")
+def _after_rest(signed: Any, camera: Operand, y: int, x: int, moment: Operand, rest: Rest) -> tuple[Any, bool]:
+    lane, before_s, time_s = moment
+    most = rest.most[lane]
+    if rest.counting != 0:
+        if abs(signed) > most:
+            raise_to(rest.most, lane, abs(signed))
+        return np.int32(0), False
+    refractory_s = camera[REFRACTORY]
+    if signed != 0 and refractory_s > (time_s - before_s) / most:
+        last_s = rest.last_s[lane, y, x]
+        signed, last_s = kept_events(signed, last_s, np.float32(refractory_s), before_s, time_s, most)
+        rest.last_s[lane, y, x] = last_s
+    return signed, True
+
+
+def _rested(signed, camera, y, x, moment, rest):  # type: ignore[no-untyped-def]
+    function = _after_rest if isinstance(rest, types.BaseNamedTuple) else _as_is
+    return lambda signed, camera, y, x, moment, rest: function(signed, camera, y, x, moment, rest)
+
+
+BY_TYPE = ((threshold, _threshold), (rested, _rested), *pixel.BY_TYPE)
 overload(threshold)(_threshold)
-BY_TYPE = ((threshold, _threshold), *pixel.BY_TYPE)
+overload(rested)(_rested)
 
 
 @part(error_model="numpy")
@@ -163,25 +252,29 @@ def update_pixel(
     draw: tuple[np.float32, np.float32],
     y: int,
     x: int,
-    dt_s: float,
+    moment: tuple[int, float, float],
+    rest: Operand,
 ) -> Any:
     """Update a pixel for a new grey level and return its ON minus OFF events.
 
     Updates `base` (144, 256) and, unless it is empty, `filtered`. `draw` has the pixel's random numbers for this frame:
-    for the leak, and for shot noise.
+    for the leak, and for shot noise. `moment` is the lane, and the times of the last frame and of this one. `rest` is a
+    Rest, or () where no refractory period can matter.
     """
-    before = base[y, x]
+    dt_s, before = moment[2] - moment[1], base[y, x]
     positive = threshold(before, camera[POSITIVE], camera[SIGMA], sensor.up[y, x])
     negative = threshold(before, camera[NEGATIVE], camera[SIGMA], sensor.down[y, x])
     log = pixel.log_of(before, level, before if filtered.size == 0 else filtered[y, x], camera, sensor, dt_s)
-    if filtered.size != 0:
-        filtered[y, x] = log
     if camera[HOT] > 0.0 and sensor.heat[y, x] < camera[HOT]:
         before = pixel.heated(before, positive, np.float32(dt_s * HOT_RATE_HZ))
     if camera[LEAK] > 0.0:
         jitter, rate_hz = pixel.jittered(np.float32(camera[JITTER]), draw[0]), np.float32(camera[LEAK])
         before = pixel.leaked(before, positive, np.float32(dt_s), rate_hz, sensor.leak_factor[y, x], jitter)
-    signed = pixel.signed_count(log, before, positive, negative)
+    signed, known = rested(pixel.signed_count(log, before, positive, negative), camera, y, x, moment, rest)
+    if not known:
+        return signed
+    if filtered.size != 0:
+        filtered[y, x] = log
     base[y, x] = pixel.advanced(before, signed, positive, negative)
     if camera[SHOT] > 0.0:  # a pixel that fires memorises the present intensity
         noise = pixel.shot_noise(level, camera, sensor, positive, negative, draw[1], dt_s)
@@ -189,19 +282,6 @@ def update_pixel(
             base[y, x] = log
         return signed + (0 if noise == pixel.ON_AND_OFF else noise)
     return signed
-
-
-@part
-def stamp(before_s: float, time_s: float, count: int, number: int) -> np.float32:
-    """Return the number-th of `count` time stamps (vision/dvs.time_stamps)."""
-    start = np.float32(before_s + (time_s - before_s) / count)
-    if count == 1:
-        return start
-    end = np.float32(time_s)
-    spacing = np.float64((end - start) / np.float32(count - 1))
-    if number < count // 2:
-        return np.float32(np.float64(start) + times(spacing, np.float64(number)))
-    return np.float32(np.float64(end) - times(spacing, np.float64(count - 1 - number)))
 
 
 @part

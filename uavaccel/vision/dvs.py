@@ -54,6 +54,7 @@ Mask = NDArray[np.bool_]
 
 LINEAR_UP_TO = 20  # intensity up to which a line replaces the logarithm
 SHOT_NOISE_AT_WHITE = 0.25  # shot noise of the brightest pixel relative to that of a black one
+MOST_NORMAL = 7.0  # no normal number of vision/noise is as far from 0
 NO_STAMPS = np.empty(0, np.float32)
 NO_EVENTS = np.empty((0, 4), np.float32)
 
@@ -134,6 +135,21 @@ def time_stamps(t_before_s: float, t_s: float, count: int) -> NDArray[np.float32
     rising = _once_rounded(np.float64(start), spacing * index)
     falling = _once_rounded(np.float64(end), -spacing * (count - 1 - index))
     return np.where(index < count // 2, rising, falling)
+
+
+def can_suppress(sensor: DvsSensor, spacing_s: float) -> bool:
+    """Return whether its refractory period can suppress events of frames that are `spacing_s` or more apart.
+
+    It does where it is longer than a frame's time over the largest count of a pixel. Before any is suppressed, a pixel
+    memorises what it sees to within a threshold. Its next count is at most the range of log intensities in thresholds,
+    plus one, plus the events of its leak and heat; the time over this sum is least where frames are closest.
+    """
+    of = sensor.parameters
+    least = min(sensor.positive_threshold.min(), sensor.negative_threshold.min())
+    leak_hz = of.leak_rate_hz * float(sensor.leak_rate_factor.max()) * (1.0 + MOST_NORMAL * of.leak_jitter_fraction)
+    driven_hz = leak_hz + HOT_RATE_HZ * (of.hot_share > 0)
+    most = float(LIN_LOG[-1] / least) + 2.0 + driven_hz * spacing_s  # one more for what is rounded
+    return of.refractory_s * most > spacing_s
 
 
 def _once_rounded(base: np.float64, offsets: NDArray[np.float64]) -> NDArray[np.float32]:
