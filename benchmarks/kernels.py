@@ -29,6 +29,7 @@ from uavaccel.kernels.pictures import make_scratch
 from uavaccel.machine import usable_cores
 from uavaccel.sim.clutter import Clutter
 from uavaccel.sim.profile import NATIVE
+from uavaccel.sim.vehicle.quadrotor import KINEMATICS
 from uavaccel.sim.world import World
 from uavaccel.vision.dvs_sensor import sample_pixels
 
@@ -67,10 +68,19 @@ def one_lane(task: LaneTask) -> cpu.Work:
         plan_of(task, maker.surroundings.hull, np.zeros(3, np.int64), kind != STATE),
     )
     first = np.arange(1)
-    cpu.CPU.observe_starts(games, first)
-    clocks = timeline.clocks(1, task.frames_per_command)
-    cpu.CPU.begin(first, first, view, games, now, plan, clocks)
-    return cpu.Work(view, games, now, plan, clocks, make_scratch(), np.empty((ROWS, COLUMNS), np.uint8))
+    work = cpu.Work(
+        view,
+        games,
+        now,
+        plan,
+        timeline.clocks(1, task.frames_per_command),
+        make_scratch(),
+        np.empty((ROWS, COLUMNS), np.uint8),
+    )
+    cpu.run_lanes(
+        cpu.BEGIN, first, np.zeros((1, 4)), *work[:5], np.empty((1, 1, 1, 0, 0), np.uint8), np.zeros((1, 1, KINEMATICS))
+    )
+    return work
 
 
 def bench_on_cores() -> Iterator[Measurement]:

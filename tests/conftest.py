@@ -68,10 +68,10 @@ def signals_as_before() -> Iterator[None]:
         signal.signal(kind, handler)
 
 
-# Those that need the lanes' kernels, which take minutes of one core to compile on a fresh clone, and those of a GPU on
-# the host, which are compiled in each process: one process does.
+# Those that compile kernels: one process, which does it once, and begins with what others load from disk. On a fresh
+# clone that takes more than a minute; who flies the kernels is not among the first.
 KERNELS = re.compile(
-    r"test_(kernel_\w+|device|engines_agree|navigate|still_scenes|rl|evaluate_lanes|own_task|realtime_vector|ppo)\.py"
+    r"test_(device|engines_agree|evaluate_lanes|kernel_looks|own_task|ppo|realtime_vector|still_scenes)\.py"
     r"|\[docs/(extending|kernels|tutorial|reference/python)|of_the_kernels"
 )
 # The longest begin, or the last one would keep one core busy alone.
@@ -80,16 +80,16 @@ FIRST = (
     "test_docs",
     "test_watch",
     "test_watch_live",
-    "test_batch",
     "test_training",
     "test_fly_scripts",
-    "test_evaluate",
-    "test_python",
-    "test_reports",
+    "test_tools",
+    "test_wheel",
     "test_killed_at_random",
     "test_env",
-    "test_server_faults",
     "test_fly_deaths",
+    "test_batch",
+    "test_evaluate",
+    "test_python",
 )
 
 

@@ -23,7 +23,7 @@ from uavaccel.sim.vehicle import hotloop
 
 ENTRY_POINTS: list[Any] = [
     *(entry_point._pyfunc for entry_point in hotloop.ENTRY_POINTS),  # type: ignore[attr-defined]
-    *(each.py_func for each in (*cpu.CPU, pictures._render)),
+    *(each.py_func for each in (cpu.run_lanes, pictures._render)),
 ]
 
 

@@ -178,70 +178,45 @@ def seen_events(pictures: NDArray[np.uint8]) -> NDArray[np.int64]:
     return np.array(counts, np.int64)
 
 
-@njit(error_model="numpy")
-def covers(faces: Any, face: Any, column: Any, row: Any) -> bool:
-    """Return whether a pixel is inside a face's edges."""
-    inside = True
-    for edge in range(4):
-        inside = inside and rays.linear(faces, face, at.EDGES + 3 * edge, column, row) >= rays.ZERO
-    extra = int(faces[face, at.EXTRA])
-    if inside and extra > 0:
-        for edge in range(8):
-            inside = inside and rays.linear(faces, extra, 3 * edge, column, row) >= rays.ZERO
-    return inside
+def linear(faces: Floats, face: Any, field: int, rows: Any, columns: Any) -> Floats:
+    """A linear function of pixels, in single precision."""
+    of = faces[face, field : field + 3].T
+    return of[0] * np.float32(columns) + (of[1] * np.float32(rows) + of[2])
 
 
-@njit(error_model="numpy")
-def nearest_face(faces: Any, row: Any, column: Any) -> Any:
-    """Return the face that a pixel shows, 0 for the sky."""
-    x, y = np.float32(column), np.float32(row)
-    near, best, shown = faces[0, at.NEAR_W], faces[0, at.FAR_W], 0
+def nearest_faces(faces: Floats, rows: Any, columns: Any) -> NDArray[np.int64]:
+    """The faces that pixels show, 0 for the sky."""
+    rows, columns = np.broadcast_arrays(rows, columns)
+    best, shown = np.full(rows.shape, faces[0, at.FAR_W]), np.zeros(rows.shape, int)
     for face in range(1, int(faces[0, at.COUNT])):
-        if faces[face, at.NEAREST_W] > best:
-            w = rays.linear(faces, face, at.W, x, y)
-            if w > best and w <= near and covers(faces, face, x, y):
-                best, shown = w, face
+        w = linear(faces, face, at.W, rows, columns)
+        seen = (faces[face, at.NEAREST_W] > best) & (w > best) & (w <= faces[0, at.NEAR_W])
+        edges = [(face, at.EDGES + 3 * edge) for edge in range(4)]
+        if extra := int(faces[face, at.EXTRA]):
+            edges += [(extra, 3 * edge) for edge in range(8)]
+        for of, field in edges:
+            seen &= linear(faces, of, field, rows, columns) >= 0
+        best[seen], shown[seen] = w[seen], face
     return shown
-
-
-@njit(error_model="numpy")
-def luma_at(faces: Any, texels: Any, textures: Any, row: int, column: int) -> Any:
-    """Return the luma of a pixel."""
-    red, green, blue = rays.colour_of(faces, nearest_face(faces, row, column), texels, textures, row, column)
-    return luma_of(red, green, blue)
-
-
-@njit(error_model="numpy")
-def depth_at(faces: Any, row: int, column: int) -> Any:
-    """Return the depth of a pixel, metres along the optical axis."""
-    face = nearest_face(faces, row, column)
-    w = rays.linear(faces, face, at.W, np.float32(column), np.float32(row)) if face else faces[0, at.FAR_W]
-    return rays.ONE / w
-
-
-@njit
-def one_by_one(appearance: Any, scenes: Any, lane: int, place: Floats, quaternion: Floats, faces: Any) -> Any:
-    """Column 100 of a picture, and row 70 of its depths."""
-    alone = np.zeros(at.ROWS, np.uint8)
-    depths, texels, textures = np.zeros(at.COLUMNS, np.float32), appearance.texels, appearance.textures
-    project(appearance, scenes, lane, place, quaternion, True, faces)
-    for row in range(at.ROWS):
-        alone[row] = luma_at(faces, texels, textures, row, 100)
-    project(appearance, scenes, lane, place, quaternion, False, faces)
-    for column in range(at.COLUMNS):
-        depths[column] = depth_at(faces, 70, column)
-    return alone, depths
 
 
 @pytest.mark.slow
 def test_a_pixel_alone_is_that_of_the_picture(appearance: Appearance) -> None:
+    """Column 100 of a picture, and row 70 of its depths."""
     arguments = laid_out(appearance, drawn_views(6, seed=4))
-    faces = np.zeros((at.FACES, at.FIELDS), np.float32)
+    faces, rows, columns = np.zeros((at.FACES, at.FIELDS), np.float32), np.arange(at.ROWS), np.arange(at.COLUMNS)
     for number, (picture, depths) in enumerate(zip(render_gray(*arguments), render_depth(*arguments), strict=True)):
-        pose = arguments[3][number], arguments[4][number]
-        alone, deep = one_by_one(appearance, arguments[1], number, *pose, faces)
+        scene = appearance, arguments[1], number, arguments[3][number], arguments[4][number]
+        project(*scene, True, faces)
+        alone = [
+            luma_of(*rays.colour_of(faces, face, appearance.texels, appearance.textures, row, 100))
+            for row, face in enumerate(nearest_faces(faces, rows, 100).tolist())
+        ]
         assert np.sum(alone != picture[:, 100]) <= 1
-        assert np.mean(np.abs(deep / depths[70] - 1) > 1e-5) <= 0.01
+        project(*scene, False, faces)
+        shown = nearest_faces(faces, 70, columns)
+        w = np.where(shown > 0, linear(faces, shown, at.W, 70, columns), faces[0, at.FAR_W])
+        assert np.mean(np.abs(1 / w / depths[70] - 1) > 1e-5) <= 0.01
 
 
 def test_tiles_touch_every_face_that_they_show(appearance: Appearance) -> None:
@@ -252,8 +227,8 @@ def test_tiles_touch_every_face_that_they_show(appearance: Appearance) -> None:
         for top, left in np.ndindex(3, 4):
             ends = [np.float32(end) for end in (48 * top, 48 * top + 47, 64 * left, 64 * left + 63)]
             touched = {face for face in range(1, count) if rays.touches(faces, face, *ends)}
-            corners = [(48 * top + row, 64 * left + column) for row in (0, 13, 47) for column in (0, 29, 63)]
-            assert {nearest_face(faces, *pixel) for pixel in corners} <= touched | {0}
+            corners = np.array([(48 * top + row, 64 * left + column) for row in (0, 13, 47) for column in (0, 29, 63)])
+            assert set(nearest_faces(faces, *corners.T).tolist()) <= touched | {0}
 
 
 @needs_opengl

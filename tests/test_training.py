@@ -262,16 +262,17 @@ def test_evaluations_after_a_checkpoint_are_flown_again(tmp_path: Path, monkeypa
 
 
 def test_processes_learn_what_one_would(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Two of them, and two that fly in turns, stopped and resumed."""
+    """Two of them, and two that fly in turns, stopped and resumed in this one."""
     config = tiny_config(STATE, mirror=False, environments=2)
     turns = tiny_config(STATE, mirror=False, environments=2, turns=2, games=8, checkpoint_games=3)
     one, whole = train_into(tmp_path / "one", config), train_into(tmp_path / "whole", turns)
     assert {row["environment"] for row in RunDirectory(tmp_path / "one").rows()} == {0, 1}
-    monkeypatch.setattr(trainer, "make_lanes", make_lanes)
-    monkeypatch.setattr(lanes, "start_exact_lanes", start_exact_lanes)
-    assert train_into(tmp_path / "processes", config) == one
-    with pytest.raises(RuntimeError, match="stopped"):
-        run_suite(Training(), turns, start_run(Training(), turns, tmp_path / "cut", {}), on_game=stop_after(7))
+    with monkeypatch.context() as patch:
+        patch.setattr(trainer, "make_lanes", make_lanes)
+        patch.setattr(lanes, "start_exact_lanes", start_exact_lanes)
+        assert train_into(tmp_path / "processes", config) == one
+        with pytest.raises(RuntimeError, match="stopped"):
+            run_suite(Training(), turns, start_run(Training(), turns, tmp_path / "cut", {}), on_game=stop_after(7))
     assert train_into(tmp_path / "cut", turns, resume=True) == whole
 
 

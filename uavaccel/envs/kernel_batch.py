@@ -142,9 +142,7 @@ class KernelBatch(TurnBatch):
         self._goals[which] = self._judge.goals(given, keys_of(self.task, [self._drawn[lane] for lane in which]))
         self._frames[which] = self._blank
         self._begun_ns = self._clock.now_ns()
-        of_lanes: tuple[Any, ...] = self._goals, self._view, self._rows, self._now, self._plan, self._clocks
-        of_lanes, parts = (*of_lanes, self._pictures, self._samples), self._parts(which[~self._over[which]])
-        self._flying[int(which[0])] = [self._pool.submit(cpu.CPU.fly, part, *of_lanes) for part in parts]
+        self._flying[int(which[0])] = self._run(cpu.FLY, which[~self._over[which]], self._pictures)
 
     def step_wait(self, slots: Sequence[int] | None = None) -> Steps:
         """As `TurnBatch` has it. Raises UserError where no command was started."""
@@ -243,9 +241,11 @@ class KernelBatch(TurnBatch):
 
     # --- inside -----------------------------------------------------------------------------------
 
-    def _parts(self, lanes: NDArray[np.int64]) -> list[NDArray[np.int64]]:
+    def _run(self, asked: int, lanes: NDArray[np.int64], frames: Frame) -> list[Future[None]]:
         """Divide lanes among the threads."""
-        return [part for part in np.array_split(lanes, self._threads) if len(part)]
+        of_lanes = self._goals, self._view, self._rows, self._now, self._plan, self._clocks, frames, self._samples
+        parts = [part for part in np.array_split(lanes, self._threads) if len(part)]
+        return [self._pool.submit(cpu.run_lanes, asked, part, *of_lanes) for part in parts]
 
     def _draw(self, lane: int, options: Mapping[str, object] | None = None) -> Drawn:
         self._sampled_by[lane] = self._generators[lane].bit_generator.state, options
@@ -263,10 +263,8 @@ class KernelBatch(TurnBatch):
     def _begin(self, lanes: NDArray[np.int64]) -> list[Info]:
         """Begin the games sampled for these lanes, and return the infos."""
         drawn = [self._drawn[lane] for lane in lanes.tolist()]
-        cpu.CPU.observe_starts(self._rows, lanes)
         self._clocks.scale[lanes] = [each.task.latency.scale for each in drawn]
-        of_lanes: tuple[Any, ...] = self._view, self._rows, self._now, self._plan, self._clocks
-        for part in [self._pool.submit(cpu.CPU.begin, each, each, *of_lanes) for each in self._parts(lanes)]:
+        for part in self._run(cpu.BEGIN, lanes, self._pictures):
             part.result()
         self._over[lanes], self._host_s[lanes] = False, 0.0
         numbers, *_ = self._ends(lanes)
@@ -280,7 +278,8 @@ class KernelBatch(TurnBatch):
         if not self.task.sees_start or self._view.kind in (STATE, DVS):
             return None
         frames = np.empty((self.num_envs, 1, *self._blank.shape), self._blank.dtype)
-        cpu.CPU.show(lanes, self._view, self._rows, self._now, self._plan, self._clocks, frames)
+        for part in self._run(cpu.SHOW, lanes, frames):
+            part.result()
         drawn: Frame = frames[lanes, 0]
         return drawn
 

@@ -288,24 +288,20 @@ def guard(lane: int, work: Work) -> bool:
 
 
 @part(error_model="numpy")
-def _start_lanes(
-    lanes: Operand, rows: Operand, view: View, games: Games, now: Flights, plan: Command, clocks: Clocks
-) -> None:
-    """Begin the games of `rows` in `lanes`."""
-    work = Work(view, games, now, plan, clocks, make_scratch(), np.empty(view.size, np.uint8))
-    frame, timing = np.empty((3, *view.size), np.uint8), plan.timing
-    for place in range(len(lanes)):
-        lane, game = lanes[place], rows[place]
-        begin(lane, game, games, now)
-        row, scale = clocks.row[lane], clocks.scale[lane]
-        timeline.start(row, scale, timing, games.seeds[game, PICTURE_SEED])
-        clocks.brightness[lane] = np.nan
-        if view.kind == DVS:
-            render_gray(lane, view.looks, games, now, plan.tick_ns, work.scratch, work.picture)
-            start(lane, work.picture, view.pixels, view.sensor, games.cameras[game])
-        elif timing.rules[timeline.GUARDED]:
-            render_frame(lane, work, frame)
-        timeline.show_start(row, scale, timing, guard(lane, work))
+def begin_game(lane: int, work: Work) -> None:
+    """Begin the game of a lane's row: its initial state is completed with its accelerations in the wind."""
+    view, games, now, plan, clocks = work.cameras, work.games, work.now, work.plan, work.clocks
+    refresh(games.parameters[lane], games.start[lane], games.body[lane])
+    begin(lane, lane, games, now)
+    row, scale, timing = clocks.row[lane], clocks.scale[lane], plan.timing
+    timeline.start(row, scale, timing, games.seeds[lane, PICTURE_SEED])
+    clocks.brightness[lane] = np.nan
+    if view.kind == DVS:
+        render_gray(lane, view.looks, games, now, plan.tick_ns, work.scratch, work.picture)
+        start(lane, work.picture, view.pixels, view.sensor, games.cameras[lane])
+    elif timing.rules[timeline.GUARDED]:
+        render_frame(lane, work, np.empty((3, *view.size), np.uint8))
+    timeline.show_start(row, scale, timing, guard(lane, work))
 
 
 @part(error_model="numpy")
@@ -349,52 +345,41 @@ def take_state(lane: int, now: Flights, sample: Operand) -> None:
 
 
 @part(error_model="numpy")
-def _fly_lanes(
-    lanes: Operand,
-    goals: Operand,
-    view: View,
-    games: Games,
-    now: Flights,
-    plan: Command,
-    clocks: Clocks,
-    frames: Operand,
-    samples: Operand,
-) -> None:
-    """Fly one command in each of `lanes`, with its goal of `goals` (L, 4).
+def fly_command(lane: int, goals: Operand, work: Work, frames: Operand, samples: Operand) -> None:
+    """Fly one command in a lane, with its goal of `goals` (L, 4).
 
     Writes `frames` (L, S, ...) of the samples before a collision, and all states: `samples` (L, S, KINEMATICS).
     """
-    work = Work(view, games, now, plan, clocks, make_scratch(), np.empty(view.size, np.uint8))
-    for lane in lanes:
-        row, scale, timing = clocks.row[lane], clocks.scale[lane], plan.timing
-        before, body = now.state[lane : lane + 1].copy(), now.body[lane : lane + 1].copy()
-        tick = timeline.issue(row, scale, timing)
-        fly_to(lane, tick, work)
-        if not np.isnan(plan.start_speed):
-            resume(lane, 0, before, body, plan.start_speed, games, now)
-        acts_ns, sample = row[timeline.DUE] + timing.rules[timeline.LATE_NS], 0
-        while row[timeline.LAST] == 0:
-            if acts_ns < row[timeline.DUE] + timing.slices_ns[sample]:
-                left_ns = acts_ns - tick * plan.tick_ns
-                if left_ns > 0:
-                    tick = timeline.wait(row, scale, timing, left_ns)
-                    fly_to(lane, tick, work)
-                command(lane, goals, plan.modes, now)
-                now.state[lane].hover_tick = tick + plan.hold_ticks
-                acts_ns = timeline.NEVER
-            tick = timeline.reach(row, scale, timing, sample)
-            seen = fly_to(lane, tick, work)
-            take_state(lane, now, samples[lane, sample])
-            hit, suspect = touched(lane, now), False
-            if not hit:
-                clocks.ticks[lane, sample] = tick
-                if view.kind != STATE:
-                    observe_sample(lane, seen, work, frames[lane, sample])
-                    suspect = guard(lane, work)
-            timeline.leave(row, scale, timing, hit, suspect)
-            sample += 1
-        clocks.taken[lane] = sample - 1 if touched(lane, now) else sample
-        timeline.switch(row, timeline.NO_PHASE)
+    view, games, now, plan, clocks = work.cameras, work.games, work.now, work.plan, work.clocks
+    row, scale, timing = clocks.row[lane], clocks.scale[lane], plan.timing
+    before, body = now.state[lane : lane + 1].copy(), now.body[lane : lane + 1].copy()
+    tick = timeline.issue(row, scale, timing)
+    fly_to(lane, tick, work)
+    if not np.isnan(plan.start_speed):
+        resume(lane, 0, before, body, plan.start_speed, games, now)
+    acts_ns, sample = row[timeline.DUE] + timing.rules[timeline.LATE_NS], 0
+    while row[timeline.LAST] == 0:
+        if acts_ns < row[timeline.DUE] + timing.slices_ns[sample]:
+            left_ns = acts_ns - tick * plan.tick_ns
+            if left_ns > 0:
+                tick = timeline.wait(row, scale, timing, left_ns)
+                fly_to(lane, tick, work)
+            command(lane, goals, plan.modes, now)
+            now.state[lane].hover_tick = tick + plan.hold_ticks
+            acts_ns = timeline.NEVER
+        tick = timeline.reach(row, scale, timing, sample)
+        seen = fly_to(lane, tick, work)
+        take_state(lane, now, samples[lane, sample])
+        hit, suspect = touched(lane, now), False
+        if not hit:
+            clocks.ticks[lane, sample] = tick
+            if view.kind != STATE:
+                observe_sample(lane, seen, work, frames[lane, sample])
+                suspect = guard(lane, work)
+        timeline.leave(row, scale, timing, hit, suspect)
+        sample += 1
+    clocks.taken[lane] = sample - 1 if touched(lane, now) else sample
+    timeline.switch(row, timeline.NO_PHASE)
 
 
 @part(error_model="numpy")
@@ -423,43 +408,43 @@ def pop_events(lane: int, pixels: events.Pixels, frame: Operand) -> None:
             pixels.gathered[lane, y, x] = 0
 
 
-class EntryPoints(NamedTuple):
-    """The compiled functions, which release the GIL."""
-
-    observe_starts: Launchable
-    """Completes the initial states of games with their accelerations in the wind."""
-    begin: Launchable
-    fly: Launchable
-    show: Launchable
-    """Renders the present frames (L, 1, ...) of lanes, in colour or of depth."""
-
-
-def _compile(stamp: int) -> EntryPoints:
-    """Compile the entry points, or load them from numba's cache; `stamp` as in kernels/pictures."""
-    entry_point = njit(nogil=True, cache=True)
-
-    @entry_point
-    def observe_starts(games, rows):  # type: ignore[no-untyped-def]
-        for game in rows[: len(rows) * (stamp != 0)]:
-            refresh(games.parameters[game], games.start[game], games.body[game])
-
-    @entry_point
-    def start_lanes(lanes, rows, view, games, now, plan, clocks):  # type: ignore[no-untyped-def]
-        if stamp:
-            _start_lanes(lanes, rows, view, games, now, plan, clocks)
-
-    @entry_point
-    def fly_lanes(lanes, goals, view, games, now, plan, clocks, frames, samples):  # type: ignore[no-untyped-def]
-        if stamp:
-            _fly_lanes(lanes, goals, view, games, now, plan, clocks, frames, samples)
-
-    @entry_point
-    def show_lanes(lanes, view, games, now, plan, clocks, frames):  # type: ignore[no-untyped-def]
-        work = Work(view, games, now, plan, clocks, make_scratch(), np.empty(view.size, np.uint8))
-        for lane in lanes[: len(lanes) * (stamp != 0)]:
+@part(error_model="numpy")
+def _run(
+    asked: int,
+    lanes: Operand,
+    goals: Operand,
+    view: View,
+    games: Games,
+    now: Flights,
+    plan: Command,
+    clocks: Clocks,
+    frames: Operand,
+    samples: Operand,
+) -> None:
+    work = Work(view, games, now, plan, clocks, make_scratch(), np.empty(view.size, np.uint8))
+    for lane in lanes:
+        if asked == BEGIN:
+            begin_game(lane, work)
+        elif asked == FLY:
+            fly_command(lane, goals, work, frames, samples)
+        else:
             render_frame(lane, work, frames[lane, 0])
 
-    return EntryPoints(observe_starts, start_lanes, fly_lanes, show_lanes)
+
+BEGIN, FLY, SHOW = range(3)
+"""What lanes do: begin their games, fly a command, or render present frames (L, 1, ...), in colour or of depth."""
 
 
-CPU = _compile(sources(__name__))
+def _compile(stamp: int) -> Launchable:
+    """Compile `run_lanes`, or load it from numba's cache; `stamp` as in kernels/pictures."""
+
+    @njit(nogil=True, cache=True)
+    def run_lanes(asked, lanes, goals, view, games, now, plan, clocks, frames, samples):  # type: ignore[no-untyped-def]
+        if stamp:
+            _run(asked, lanes, goals, view, games, now, plan, clocks, frames, samples)
+
+    return run_lanes
+
+
+run_lanes = _compile(sources(__name__))
+"""Compiled, without the GIL: each of some `lanes` does what is `asked`. One for all, or each would compile cameras."""
