@@ -19,6 +19,7 @@ import select
 import selectors
 import socket
 import socketserver
+import subprocess
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -461,6 +462,8 @@ def selects(s: Script) -> None:
                 if thread is not None:
                     s.say(receiver.recv(9))
                     thread.join()
+    with subprocess.Popen(["sh", "-c", "sleep 0.1; echo pong"], stdout=subprocess.PIPE) as other:
+        s.say([*map(len, s.select.select([other.stdout], [], [], LATER_S))])
 
 
 @program

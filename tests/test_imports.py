@@ -74,8 +74,8 @@ def test_only_the_clock_looks_at_a_clock_or_sleeps() -> None:
     assert [name_of(path) for path in MODULES if path != CLOCK and re.search(looks, path.read_text("utf-8"))] == []
 
 
-def test_importing_the_package_loads_nothing_heavy() -> None:
-    program = "import sys, uavaccel, uavaccel.errors; print(*sys.modules)"
+def test_importing_the_package_and_its_commands_loads_nothing_heavy() -> None:
+    program = "import sys, uavaccel, uavaccel.errors, uavaccel.cli.main; print(*sys.modules)"
     command = [sys.executable, "-c", program]
     done = subprocess.run(command, cwd=PACKAGE.parent, capture_output=True, text=True, check=True)
     assert not (HEAVY | {"numpy", "pydantic"}) & set(done.stdout.split())

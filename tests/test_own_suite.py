@@ -10,7 +10,6 @@ import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -113,20 +112,6 @@ def test_a_suite_that_is_none_is_one_line(name: str, hint: str, here: Path) -> N
     with trusting(), pytest.raises(UserError) as caught:
         find_suite(name, "toy.yaml")
     assert str(caught.value).startswith(f"toy.yaml: suite = {name!r}: {hint.replace('HERE', str(here))}")
-
-
-@pytest.mark.parametrize(
-    ("name", "line"),
-    [
-        (None, "my.yaml: key 'suite' is missing; known: dp1, dp2, "),
-        ("sweap", "my.yaml: suite = 'sweap' is unknown; did you mean 'sweep'?"),
-        (["dp1"], "my.yaml: suite = ['dp1'] is unknown; did you mean 'dp1'?"),
-    ],
-)
-def test_an_unknown_suite_is_refused(name: Any, line: str) -> None:
-    with pytest.raises(UserError) as caught:
-        find_suite(name, "my.yaml")
-    assert str(caught.value).startswith(line)
 
 
 def test_a_suite_in_a_package_is_imported_from_above_it(here: Path) -> None:

@@ -18,7 +18,7 @@ from gymnasium.vector import AsyncVectorEnv, AutoresetMode, SyncVectorEnv
 from numpy.typing import NDArray
 
 import uavaccel
-from tests.host_kernels import host_kernels  # noqa: F401 - a fixture
+from tests.host_kernels import a_gpu, host_kernels  # noqa: F401 - fixtures
 from uavaccel.envs.hover import Hover
 from uavaccel.errors import UserError
 from uavaccel.realtime import RealTime, RealTimeVector, ThinkingTime, lognormal
@@ -164,7 +164,7 @@ def batch_of(simulator: str) -> Any:
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("host_kernels")
+@pytest.mark.usefixtures("a_gpu")
 @pytest.mark.parametrize("simulator", ["mujoco", "kernels", "device"])
 def test_a_batch_with_clocks_of_its_own_is_charged_as_one_is(simulator: str) -> None:
     """Each environment's thinking times on its own clock, from a source or a list; a device's tensors stay there."""
@@ -188,11 +188,12 @@ def test_a_batch_with_clocks_of_its_own_is_charged_as_one_is(simulator: str) -> 
                     observation, _, *ends, info = single.step(action[place])
                     assert [bool(terminated[place]), bool(truncated[place])] == ends
                     for key in ("thinking_s", "meanwhile_s"):
-                        assert infos[key][place] == pytest.approx(info[key], abs=1e-12)
+                        assert float(infos[key][place]) == pytest.approx(info[key], abs=1e-12)
                     over[place] = any(ends) and not same_step
                 if waits or (any(ends) and same_step):
                     observation, _ = single.reset()
-                np.testing.assert_allclose(np.asarray(observations[place]), observation, rtol=0, atol=1e-6)
+                seen = th.as_tensor(observations[place]).cpu().numpy()
+                np.testing.assert_allclose(seen, observation, rtol=0, atol=1e-6)
         vector.close()
 
 

@@ -185,7 +185,7 @@ class SharedModules:
             if not self._is_for_a_script():
                 return original(loop, selector)
             loop.time = lambda: turns.now_ns() / NS_PER_S  # type: ignore[method-assign]
-            return original(loop, selector or outside.selectors.DefaultSelector())
+            return original(loop, selector or outside.of_loops())
 
         self._patches.set(module.BaseSelectorEventLoop, "__init__", init)
 
@@ -200,12 +200,12 @@ class SharedModules:
 
         def waiting(original: Callable[..., object]) -> Callable[..., object]:
             def receive(connection: socket.socket, *arguments: object, **options: object) -> object:
-                def has_data(wait_s: float = 0.0) -> bool:
-                    return bool(select.select([connection], [], [], wait_s)[0])
+                def has_data(wait_s: float | None = 0.0) -> bool:
+                    return bool(select.select([connection], [], [], FOREIGN_S if wait_s is None else wait_s)[0])
 
                 timeout_s = connection.gettimeout()
                 in_turns = turns.running and timeout_s != 0 and self._is_for_a_script()
-                if in_turns and not turns.until(has_data, timeout_s, lambda: has_data(FOREIGN_S)):
+                if in_turns and not turns.until(has_data, timeout_s, has_data, patient=True):
                     raise TimeoutError("timed out")
                 return original(connection, *arguments, **options)
 
@@ -236,7 +236,7 @@ class OutsideEvents:
     """The modules `select` and `selectors` for scripts; `clock` is their module `time`.
 
     Time-outs are simulated. Data on sockets and pipes arrive in the machine's time: they are waited for when nothing
-    else can continue.
+    else can continue, for as long as the time-out says.
     """
 
     def __init__(self, turns: Turns, clock: ModuleType) -> None:
@@ -244,21 +244,22 @@ class OutsideEvents:
         self._stood_ns, self._turns_since = 0, 0
         wait = self.wait
 
-        def selector(kind: Any) -> type:
+        def selector(kind: Any, patient: bool = True) -> type:
             def waiting(own: Any, timeout: float | None = None) -> Any:
-                return wait(lambda wait_s: kind.select(own, wait_s), timeout)
+                return wait(lambda wait_s: kind.select(own, wait_s), timeout, patient)
 
             return type(kind.__name__, (kind,), {"select": waiting})
 
         def select_for(readable: Any, writable: Any, exceptional: Any, timeout: float | None = None, /) -> Any:
-            return wait(lambda wait_s: select.select(readable, writable, exceptional, wait_s), timeout)
+            files = readable, writable, exceptional
+            return wait(lambda wait_s: select.select(*files, wait_s), timeout, any(files))
 
         def poll() -> SimpleNamespace:
             polled = select.poll()
 
             def waiting(timeout_ms: float | None = None) -> Any:
                 timeout_s = None if timeout_ms is None or timeout_ms < 0 else timeout_ms / 1e3
-                return wait(lambda wait_s: polled.poll(None if wait_s is None else wait_s * 1e3), timeout_s)
+                return wait(lambda wait_s: polled.poll(None if wait_s is None else wait_s * 1e3), timeout_s, True)
 
             registry = {name: getattr(polled, name) for name in ("register", "modify", "unregister")}
             return SimpleNamespace(poll=waiting, **registry)
@@ -266,12 +267,13 @@ class OutsideEvents:
         kinds = ("SelectSelector", "PollSelector", "EpollSelector", "DefaultSelector")
         self.selectors = changed(selectors, **{name: selector(getattr(selectors, name)) for name in kinds})
         self.select = changed(select, select=select_for, poll=poll)
+        self.of_loops = selector(selectors.DefaultSelector, patient=False)
 
     def in_scripts(self) -> dict[str, ModuleType]:
         return {"select": self.select, "selectors": self.selectors}
 
-    def wait(self, look: Callable[[float | None], Any], timeout_s: float | None) -> Any:
-        """Return what `look`, which takes the seconds to wait, finds ready; nothing after the time-out."""
+    def wait(self, look: Callable[[float | None], Any], timeout_s: float | None, patient: bool) -> Any:
+        """Return what `look`, which takes the seconds to wait, finds ready; nothing after the time-out (Turn)."""
         if not self._turns.simulated or not self._turns.is_mine():
             return look(timeout_s)
         found: Any = ()
@@ -290,7 +292,7 @@ class OutsideEvents:
             self._turns.wait_until(self._stood_ns)
             happened()
         else:
-            self._turns.until(happened, timeout_s, lambda: look(None))
+            self._turns.until(happened, timeout_s, look, patient)
         return found
 
 

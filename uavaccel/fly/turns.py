@@ -31,13 +31,15 @@ class Turn:
     """A waiting thread: it waits for a time, for an event, or for whichever comes first.
 
     Of two threads that may continue, the one that has waited longer does. `outside` waits for events of the machine,
-    such as data on a socket; it is called when no thread can continue.
+    such as data on a socket, for so many of the machine's seconds, None for ever; it is called when no thread can
+    continue, and of a `patient` thread also before its time-out, if nothing but that can make any thread continue.
     """
 
     wake_ns: float
     order: int
     happened: Callable[[], bool] | None = None
-    outside: Callable[[], object] | None = None
+    outside: Callable[[float | None], object] | None = None
+    patient: bool = False
     begins: threading.Event = field(default_factory=threading.Event)
 
     def due(self, now_ns: int) -> tuple[float, int]:
@@ -85,7 +87,11 @@ class Turns:
         self._wait(self.announce(wall_ns, happened))
 
     def until(
-        self, happened: Callable[[], bool], timeout_s: float | None = None, outside: Callable[[], object] | None = None
+        self,
+        happened: Callable[[], bool],
+        timeout_s: float | None = None,
+        outside: Callable[[float | None], object] | None = None,
+        patient: bool = False,
     ) -> bool:
         """Let other threads run until something has happened; False if the time-out passes first.
 
@@ -96,7 +102,7 @@ class Turns:
         self.check_thread()
         end_ns = inf if timeout_s is None else self.now_ns() + round(max(timeout_s, 0.0) * NS_PER_S)
         self._order += 1
-        mine = Turn(min(end_ns, self._limit_ns), self._order, happened, outside)
+        mine = Turn(min(end_ns, self._limit_ns), self._order, happened, outside, patient)
         self._waiting.append(mine)
         self._wait(mine)
         if happened():
@@ -143,18 +149,26 @@ class Turns:
             now_ns = self.now_ns()
             following = min(self._waiting, key=lambda turn: turn.due(now_ns))
             wake_ns = following.due(now_ns)[0]
-            if wake_ns < inf or not self._wait_outside():
+            if following.outside and following.patient and now_ns < wake_ns < inf and self._is_alone(following):
+                following.patient = False
+                following.outside((wake_ns - now_ns) / NS_PER_S)
+            elif wake_ns < inf or not self._wait_outside():
                 break
         self._waiting.remove(following)
         if wake_ns < inf:  # otherwise no thread can continue, and the longest-waiting one raises
             self._clock.sleep_until(int(wake_ns))
         return following
 
+    def _is_alone(self, patient: Turn) -> bool:
+        """Return whether nothing but its time-out can make any thread continue."""
+        now_ns = self.now_ns()
+        return all(turn is patient or turn.due(now_ns)[0] == inf for turn in self._waiting)
+
     def _wait_outside(self) -> bool:
         """Wait for events of the machine, or of a thread outside of the turns; False if there can be none."""
         outside = next((turn.outside for turn in self._waiting if turn.outside is not None), None)
         if outside is not None:
-            outside()
+            outside(None)
         elif any(
             thread.ident not in self._threads and thread.name not in OURS and thread not in self._strangers
             for thread in threading.enumerate()
