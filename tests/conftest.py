@@ -71,7 +71,7 @@ def signals_as_before() -> Iterator[None]:
 # Those that compile kernels: one process, which does it once, and begins with what others load from disk. On a fresh
 # clone that takes more than a minute; who flies the kernels is not among the first.
 KERNELS = re.compile(
-    r"test_(device|engines_agree|evaluate_lanes|kernel_looks|own_task|ppo|realtime_vector|still_scenes)\.py"
+    r"test_(device|engines_agree|evaluate_lanes|kernel_looks|navigate|own_task|ppo|realtime_vector|still_scenes)\.py"
     r"|\[docs/(extending|kernels|tutorial|reference/python)|of_the_kernels"
 )
 # The longest begin, or the last one would keep one core busy alone.

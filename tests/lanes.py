@@ -39,6 +39,12 @@ def collision_object(model: mujoco.MjModel, data: mujoco.MjData) -> str:
     return name
 
 
+def mostly_ahead(lanes: int, commands: int) -> np.ndarray:
+    """Actions (commands, lanes), so that some games are lost and others go far."""
+    random = np.random.default_rng(lanes)
+    return np.where(random.random((commands, lanes)) < 0.6, 2, random.integers(5, size=(commands, lanes)))
+
+
 def assert_same(ours: Any, theirs: Any) -> None:
     """Observations, to the byte; also in mappings."""
     if isinstance(theirs, dict):

@@ -17,7 +17,7 @@ import pytest
 from gymnasium.vector import AutoresetMode
 
 import uavaccel.envs
-from tests.lanes import SideBySide
+from tests.lanes import SideBySide, mostly_ahead
 from tests.opengl import needs_opengl
 from tests.processes import descendants, left_after, state_of
 from uavaccel.envs import environment_process
@@ -44,12 +44,6 @@ def singles(count: int, **task: Any) -> Iterator[list[ObstacleLane]]:
         environment.close()
 
 
-def actions_of(count: int, commands: int) -> np.ndarray:
-    """Mostly ahead, so that some games are lost and others go far."""
-    random = np.random.default_rng(count)
-    return np.where(random.random((commands, count)) < 0.6, 2, random.integers(5, size=(commands, count)))
-
-
 @needs_opengl
 @pytest.mark.slow
 @pytest.mark.parametrize(("mode", "size", "keys"), FLOWN)
@@ -62,7 +56,7 @@ def test_a_batch_flies_as_single_environments_do(mode: str, size: tuple[int, int
     ):
         flown = SideBySide(batch, alone)
         flown.reset(7)
-        for number, actions in enumerate(actions_of(lanes, COMMANDS)):
+        for number, actions in enumerate(mostly_ahead(lanes, COMMANDS)):
             flown.step(actions)
             flown.charge(0.01 * number)
     assert len(flown.ends) >= lanes  # of them all, lost or cut off
@@ -111,8 +105,13 @@ def test_gymnasium_makes_batches() -> None:
         assert not truncated.any()
 
 
-def test_lanes_answer_by_themselves_until_one_dies() -> None:
-    """A mistake is the caller's; some fly while others wait; a game goes on elsewhere; a death is said in one line."""
+def test_lanes_answer_by_themselves_until_one_dies(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A mistake is the caller's; some fly while others wait; a game goes on elsewhere; a death is said in one line.
+
+    Without pictures they need no OpenGL.
+    """
+    monkeypatch.delenv("MUJOCO_GL", raising=False)
+    monkeypatch.setattr(gl, "_first_that_works", lambda: None)
     batch = EnvironmentBatch(ObstacleLane, 2, 2, observation="state", timing="virtual")
     with closing(batch), singles(2, observation="state", timing="virtual") as alone:
         with pytest.raises(UserError, match="reset the environment"):
@@ -140,19 +139,6 @@ def test_pictures_without_opengl_are_refused_at_once(monkeypatch: pytest.MonkeyP
     with pytest.raises(UserError, match=r"^no OpenGL here to draw images with: install"):
         EnvironmentBatch(ObstacleLane, 2)
     assert descendants(os.getpid()) == before
-
-
-def test_a_batch_without_pictures_needs_none_and_close_leaves_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delenv("MUJOCO_GL", raising=False)
-    monkeypatch.setattr(gl, "_first_that_works", lambda: None)
-    batch = EnvironmentBatch(ObstacleLane, 2, 1, observation="state")
-    batch.reset(seed=[4, 9])
-    pids = batch.process_ids
-    batch.step_async([2, 2])  # and whoever still flies is ended
-    batch.close()
-    assert not left_after(pids, 0.0)
-    with pytest.raises(BatchError, match="this batch is closed"):
-        batch.step([2, 2])
 
 
 # --- ends -------------------------------------------------------------------------------------------------------
@@ -184,7 +170,7 @@ def test_processes_are_forks_of_one_that_loads_for_all() -> None:
         with pytest.raises(BatchError, match=r"^the process of environment [01] ended with status -9$"):
             batch.reset(seed=0)
     with closing(EnvironmentBatch(ObstacleLane, 2, 2, observation="state")) as batch:
-        batch.reset(seed=0)
+        batch.reset(seed=[4, 9])
         pids = batch.process_ids
         (loaded,) = {descendant for descendant in descendants(os.getpid()) if descendants(descendant) >= set(pids)}
         for pid in (loaded, *pids):
@@ -192,7 +178,10 @@ def test_processes_are_forks_of_one_that_loads_for_all() -> None:
         batch.step([2, 2])
         os.kill(loaded, signal.SIGKILL)
         batch.step([2, 2])
+        batch.step_async([2, 2])  # and whoever still flies is ended
     assert not left_after([loaded, *pids], 60.0)
+    with pytest.raises(BatchError, match="this batch is closed"):
+        batch.step([2, 2])
 
 
 @pytest.mark.wall_clock

@@ -465,8 +465,20 @@ def test_games_are_the_same_in_all_simulators(case: Case) -> None:
     fly_everywhere(case)
 
 
+HIT_BETWEEN_FRAMES: Keys = {
+    "dvs_rate_hz": 500.0,
+    "lane": {"obstacles": [{"x_m": 2.0, "y_m": 0.0, "half_side_m": 0.5}]},
+    "t_move_s": 0.24,
+    "t_sample_s": 0.12,
+    "max_commands": 4,
+    "speed_m_s": 6.0,
+}
+"""Events that were not read are of the game that has ended."""
+
+
 @pytest.mark.slow
 @settings(FIXTURES, max_examples=7)
+@example(Case(ObstacleLane, HIT_BETWEEN_FRAMES, seed=0, commands=5, noise=0.0, work_s=0.0))
 @given(seen_cases())
 @pytest.mark.usefixtures("a_gpu", "kernels_pictures")
 def test_cameras_see_the_same_in_all_simulators(case: Case) -> None:

@@ -178,13 +178,13 @@ def seen_events(pictures: NDArray[np.uint8]) -> NDArray[np.int64]:
     return np.array(counts, np.int64)
 
 
-def linear(faces: Floats, face: Any, field: int, rows: Any, columns: Any) -> Floats:
+def linear(faces: NDArray[np.float32], face: Any, field: int, rows: Any, columns: Any) -> NDArray[np.float32]:
     """A linear function of pixels, in single precision."""
     of = faces[face, field : field + 3].T
     return of[0] * np.float32(columns) + (of[1] * np.float32(rows) + of[2])
 
 
-def nearest_faces(faces: Floats, rows: Any, columns: Any) -> NDArray[np.int64]:
+def nearest_faces(faces: NDArray[np.float32], rows: Any, columns: Any) -> NDArray[np.int64]:
     """The faces that pixels show, 0 for the sky."""
     rows, columns = np.broadcast_arrays(rows, columns)
     best, shown = np.full(rows.shape, faces[0, at.FAR_W]), np.zeros(rows.shape, int)

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from scipy.stats import ks_2samp
 
+from tests.lanes import mostly_ahead
 from tests.opengl import needs_opengl
 from uavaccel.envs.flight_env import FlightEnv
 from uavaccel.envs.hover import Hover
@@ -37,13 +38,6 @@ def constant(platform: dict[str, Any] | None = None, scale: float = 1.0, factor:
     reply = {name: [1.7 * factor * each] * 2 for name, each in CHANNELS_US.items()}
     tables = {"quantiles": [0.0, 1.0], "request_us": request, "reply_us": reply, "scale": scale}
     return {**tables, "issue_us": [10.3] * 2, "timer_us": [61.0] * 2, "platform": platform or {}}
-
-
-def actions_of(environment: Any, count: int, commands: int) -> Any:
-    random, space = np.random.default_rng(count), environment.single_action_space
-    if space.shape:
-        return random.uniform((0.2, -0.6, -0.3), (1.0, 0.6, 0.3), (commands, count, 3)).astype(np.float32)
-    return np.where(random.random((commands, count)) < 0.6, 2, random.integers(5, size=(commands, count)))
 
 
 def walls_s(kind: type[FlightEnv], task: dict[str, Any], lanes: int, commands: int) -> tuple[Any, Any]:
@@ -105,7 +99,7 @@ def test_no_latency_reaches_native_tcsc() -> None:
         closing(KernelBatch(ObstacleLane, 8, **drawn)) as hurried,
     ):
         assert (calm.reset(seed=1)[0] == hurried.reset(seed=1)[0]).all()
-        for actions in actions_of(calm, 8, 40):
+        for actions in mostly_ahead(8, 40):
             hurried.call_each("charge", [(0.7, "learning")] * 8)
             expected, found = calm.step(actions), hurried.step(actions)
             assert expected[0].tobytes() == found[0].tobytes()

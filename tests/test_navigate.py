@@ -148,17 +148,6 @@ def test_the_grid_of_a_world_hides_nothing() -> None:
     assert (bounds[0] <= bounds[1]).all()
 
 
-def test_gaps_are_kept() -> None:
-    made = sample_world(3, Clutter(shapes=256, gap_m=1.0), (30.0, 0.0, -2.0))
-    rows = made.rows[made.standing]
-    reach = np.where(rows[:, at.KIND] == at.BOX, np.hypot(rows[:, at.HALF_X], rows[:, at.HALF_Y]),
-                     rows[:, [at.HALF_X, at.HALF_Y]].max(axis=1))  # fmt: skip
-    places = rows[:, [at.X, at.Y]]
-    apart = np.linalg.norm(places[:, None] - places, axis=2) - reach - reach[:, None]
-    assert (apart[~np.eye(len(rows), dtype=bool)] >= 1.0).all()
-    assert 50 < len(rows) < sample_world(3, Clutter(shapes=256), (30.0, 0.0, -2.0)).standing.sum()
-
-
 @pytest.mark.opengl
 @pytest.mark.parametrize(
     ("kind", "size", "most_apart", "share"),

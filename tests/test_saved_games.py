@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import json
 from contextlib import closing
 from typing import Any
@@ -12,6 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.lanes import stored
 from tests.opengl import needs_opengl
 from uavaccel.envs import observer
 from uavaccel.envs.flight_env import FlightEnv
@@ -36,16 +36,6 @@ SEEING: dict[str, Any] = {
     "clock_speed": 10.0,
     "randomise": {"dvs_threshold_ratio": [1, 2], "latency_scale": [0.5, 2], "widen_over_games": 3},
 }
-
-
-def through_a_file(state: dict[str, Any], kind: str) -> Any:
-    """As `np.load` or JSON gives it back, without pickle."""
-    if kind == "json":
-        return json.loads(json.dumps(state))
-    file = io.BytesIO()
-    np.savez(file, **state)
-    file.seek(0)
-    return dict(np.load(file))
 
 
 def what_follows(environment: FlightEnv[Any], actions: Any) -> list[Any]:
@@ -94,7 +84,8 @@ def test_a_saved_game_goes_on_to_the_same_bytes(
                 here.charge(doing, "learning")
             else:
                 here.step(doing)
-        there.set_state(through_a_file(here.get_state(), kind))
+        state = here.get_state()
+        there.set_state(stored(state) if kind == "npz" else json.loads(json.dumps(state)))
         assert what_follows(here, [3, 1]) == what_follows(there, [3, 1])
 
 
@@ -215,5 +206,5 @@ def test_lanes_are_saved_in_a_game_at_its_end_and_with_their_options() -> None:
         for _ in range(5):  # lane 7 has a post straight ahead
             there.reset(seed=1)
             for lane, state in enumerate(here.call_each("get_state", [()] * 2)):
-                there.call_each("set_state", [(through_a_file(state, "npz"),)], [lane])
+                there.call_each("set_state", [(stored(state),)], [lane])
             assert repr(here.step([2, 2])) == repr(there.step([2, 2]))

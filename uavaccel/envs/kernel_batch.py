@@ -243,7 +243,8 @@ class KernelBatch(TurnBatch):
 
     def _run(self, asked: int, lanes: NDArray[np.int64], frames: Frame) -> list[Future[None]]:
         """Divide lanes among the threads."""
-        of_lanes = self._goals, self._view, self._rows, self._now, self._plan, self._clocks, frames, self._samples
+        of_lanes: tuple[Any, ...] = self._goals, self._view, self._rows, self._now, self._plan, self._clocks
+        of_lanes = *of_lanes, frames, self._samples
         parts = [part for part in np.array_split(lanes, self._threads) if len(part)]
         return [self._pool.submit(cpu.run_lanes, asked, part, *of_lanes) for part in parts]
 

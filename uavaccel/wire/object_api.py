@@ -74,8 +74,10 @@ class ObjectApi(Calls, title="Objects"):
 
     @call("simGetObjectScale")
     def scale(self, object_name: ObjectName) -> dict[str, float]:
-        """Return the scale of an object; 0 if there is none of that name."""
-        return types.vector_map(self.scenery.objects.scale(object_name) or (0.0, 0.0, 0.0))
+        """Return the scale of an object, 1 of a vehicle; 0 if there is none of that name."""
+        vehicles = [vehicle.name for vehicle in self.simulation.world.vehicles]
+        alike = 1.0 if object_name in vehicles else 0.0
+        return types.vector_map(self.scenery.objects.scale(object_name) or (alike, alike, alike))
 
     @call("simSetObjectScale")
     def set_scale(self, object_name: ObjectName, scale_vector: Vector3r) -> bool:
