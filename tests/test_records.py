@@ -387,7 +387,12 @@ def test_the_manifest_names_the_gpu(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("torch.cuda.is_available", lambda: True)
     monkeypatch.setattr("torch.cuda.get_device_properties", lambda device: found)
     versions = {"cuda": th.version.cuda, "cudnn": th.backends.cudnn.version()}
-    assert gpu("cuda:1") == {"gpu": {"name": "H100", "uuid": "e1b2", **versions}}
+    named = {"gpu": {"name": "H100", "uuid": "e1b2", **versions}}
+    assert gpu("cuda") == named
+    monkeypatch.setattr("torch.cuda.device_count", lambda: 2)
+    assert gpu("cuda") == {}, "a process takes one later"
+    monkeypatch.setattr("torch.cuda.is_initialized", lambda: True)
+    assert gpu("cuda:1") == named
 
 
 def test_the_manifest_names_the_commit_and_whether_files_differ(

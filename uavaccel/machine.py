@@ -50,12 +50,15 @@ def host() -> dict[str, Plain]:
 
 
 def gpu(device: str) -> dict[str, Plain]:
-    """Return a CUDA device's name and UUID, and the versions of CUDA and cuDNN; nothing for another device."""
+    """Return a CUDA device's name and UUID, and the versions of CUDA and cuDNN; nothing for another device.
+
+    Nothing either before one of several GPUs was taken: who asked here could not take another any more (suites/parts).
+    """
     if not device.startswith("cuda"):
         return {}
     import torch as th
 
-    if not th.cuda.is_available():
+    if not th.cuda.is_available() or (th.cuda.device_count() > 1 and not th.cuda.is_initialized()):
         return {}
     found = th.cuda.get_device_properties(device)
     versions = {"cuda": th.version.cuda, "cudnn": th.backends.cudnn.version()}  # type: ignore[no-untyped-call]
