@@ -9,6 +9,7 @@ import copy
 import json
 import re
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from hashlib import sha256
 from importlib import import_module
 from pathlib import Path
@@ -63,15 +64,19 @@ def read_mapping(name: str) -> tuple[dict[str, Plain], str]:
 
 
 def experiments_in(config: Config) -> dict[str, Plain]:
-    """Return a hash of each experiment that a configuration names as its part, and of those that these name."""
+    """Return a hash of each experiment that a configuration names as its part, and of those that these name.
+
+    An own suite may have a key `experiment` of another meaning.
+    """
     found: dict[str, Plain] = {}
 
     def look(value: object) -> None:
         if isinstance(value, Mapping):
             if isinstance(name := value.get("experiment"), str) and name not in found:
-                mapping, _ = read_mapping(name)
-                found[name] = sha256(json.dumps(mapping, sort_keys=True, default=str).encode()).hexdigest()
-                look(mapping)
+                with suppress(UserError):
+                    mapping, _ = read_mapping(name)
+                    found[name] = sha256(json.dumps(mapping, sort_keys=True, default=str).encode()).hexdigest()
+                    look(mapping)
             value = [*value.values()]
         for each in value if isinstance(value, list | tuple) else ():
             look(each)
