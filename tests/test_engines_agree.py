@@ -474,11 +474,26 @@ HIT_BETWEEN_FRAMES: Keys = {
     "speed_m_s": 6.0,
 }
 """Events that were not read are of the game that has ended."""
+OTHER_LIGHT: Keys = {
+    "observation": "colour",
+    "timing": "virtual",
+    "latency": {
+        "quantiles": [0.0, 1.0],
+        **{name: {"call": [40.0, 40.0]} for name in ("request_us", "reply_us")},
+        **{name: [0.0, 0.0] for name in ("issue_us", "timer_us")},
+    },
+    "difficulty": {"light": [0.03, 1.0]},
+    "t_move_s": 0.3,
+    "t_sample_s": 0.3,
+    "max_commands": 1,
+}
+"""A game's first image is not requested again because the last game's was darker."""
 
 
 @pytest.mark.slow
 @settings(FIXTURES, max_examples=7)
 @example(Case(ObstacleLane, HIT_BETWEEN_FRAMES, seed=0, commands=5, noise=0.0, work_s=0.0))
+@example(Case(ObstacleLane, OTHER_LIGHT, seed=0, commands=5, noise=0.5, work_s=0.0))
 @given(seen_cases())
 @pytest.mark.usefixtures("a_gpu", "kernels_pictures")
 def test_cameras_see_the_same_in_all_simulators(case: Case) -> None:
