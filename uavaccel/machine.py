@@ -58,7 +58,8 @@ def gpu(device: str) -> dict[str, Plain]:
         return {}
     import torch as th
 
-    if not th.cuda.is_available() or (th.cuda.device_count() > 1 and not th.cuda.is_initialized()):
+    taken = th.cuda.is_initialized()  # type: ignore[no-untyped-call]
+    if not th.cuda.is_available() or (th.cuda.device_count() > 1 and not taken):
         return {}
     found = th.cuda.get_device_properties(device)
     versions = {"cuda": th.version.cuda, "cudnn": th.backends.cudnn.version()}  # type: ignore[no-untyped-call]
