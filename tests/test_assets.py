@@ -47,6 +47,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Where scenes are looked for, with the quadrotor."""
     (tmp_path / "quadrotor.xml").write_bytes(asset("mjcf/quadrotor.xml").read_bytes())
     monkeypatch.setattr("uavaccel.sim.scene.asset", lambda name: tmp_path / Path(name).name)
+    monkeypatch.setattr("uavaccel.sim.scene.scene_file", lambda name: tmp_path / f"{name}.xml")
     return tmp_path
 
 

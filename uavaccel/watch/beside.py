@@ -143,8 +143,8 @@ def show(
     server = open_server(host, port, head_of(title))
     try:
         page = Page(server, source, title, opened=source.begin)  # whoever comes first has missed nothing
-        print(f"watch at http://{host}:{server.get_port()}; Ctrl-C ends", flush=True)
         with suppress(KeyboardInterrupt):  # it runs until then
+            print(f"watch at http://{host}:{server.get_port()}; Ctrl-C ends", flush=True)
             page.run()
     finally:
         server.stop()
