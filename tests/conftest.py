@@ -8,10 +8,12 @@ import re
 import signal
 import sys
 from collections.abc import Callable, Iterator
+from functools import cache
 from pathlib import Path
 
 import mujoco
 import pytest
+import typer.main
 from hypothesis import HealthCheck, settings
 from xdist.remote import Producer
 from xdist.scheduler import LoadScopeScheduling
@@ -29,6 +31,9 @@ from uavaccel.sim.world import World
 # All that collection loads stays: looking through it for garbage would take a third of its time, and then as long in
 # the tests.
 gc.disable()
+
+# What typer makes of the commands is put together once, not whenever a test runs one.
+typer.main.get_command = cache(typer.main.get_command)
 
 # How long an example takes says something about the machine's other work alone. Each run draws other examples.
 settings.register_profile("untimed", max_examples=50, deadline=None, suppress_health_check=[HealthCheck.too_slow])

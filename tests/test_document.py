@@ -136,10 +136,11 @@ CONTRIBUTING = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
 def parse(words: list[str]) -> None:
     """Parse a command line without running it: the command is there, and so are its options, where there are any."""
     command: Any = typer.main.get_command(app)
+    settings = command.context_settings  # a command keeps the names of its first help
     while hasattr(command, "commands") and words:
         name, *words = words
         command = command.commands[name]
-    command.make_context(command.name, words, resilient_parsing=not words)
+    command.make_context(command.name, words, resilient_parsing=not words, **settings)
 
 
 def found(pattern: str) -> list[tuple[str, str]]:
