@@ -12,6 +12,7 @@ import logging
 import multiprocessing
 import multiprocessing.dummy
 import multiprocessing.pool
+import os
 import queue
 import re
 import sched
@@ -464,6 +465,15 @@ def selects(s: Script) -> None:
                     thread.join()
     with subprocess.Popen(["sh", "-c", "sleep 0.1; echo pong"], stdout=subprocess.PIPE) as other:
         s.say([*map(len, s.select.select([other.stdout], [], [], LATER_S))])
+    read, write = os.pipe()
+    [thread] = s.start(lambda: (s.select.select([read], [], []), s.say(os.read(read, 9))))
+    with subprocess.Popen(["sh", "-c", "sleep 0.1; echo pong"], stdout=subprocess.PIPE) as other:
+        s.units(1)  # the thread waits first, for what comes of what this one waits for
+        s.select.select([other.stdout], [], [])
+        os.write(write, b"on")
+        thread.join()
+    os.close(read)
+    os.close(write)
 
 
 @program

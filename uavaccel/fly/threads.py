@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any
 from uavaccel.clock import changed
 from uavaccel.fly.modules import Patches, called_by_a_script
 from uavaccel.fly.script import FlightOver
-from uavaccel.fly.turns import FOREIGN_S, Lock, Thread, Turns, bound
+from uavaccel.fly.turns import Lock, Thread, Turns, bound
 from uavaccel.units import NS_PER_S
 
 if TYPE_CHECKING:
@@ -200,8 +200,8 @@ class SharedModules:
 
         def waiting(original: Callable[..., object]) -> Callable[..., object]:
             def receive(connection: socket.socket, *arguments: object, **options: object) -> object:
-                def has_data(wait_s: float | None = 0.0) -> bool:
-                    return bool(select.select([connection], [], [], FOREIGN_S if wait_s is None else wait_s)[0])
+                def has_data(wait_s: float = 0.0) -> bool:
+                    return bool(select.select([connection], [], [], wait_s)[0])
 
                 timeout_s = connection.gettimeout()
                 in_turns = turns.running and timeout_s != 0 and self._is_for_a_script()

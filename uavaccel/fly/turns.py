@@ -20,7 +20,7 @@ from uavaccel.fly.script import FlightOver, hide_ours
 from uavaccel.processes.lifetime import END_WITH_PARENT
 from uavaccel.units import NS_PER_S
 
-FOREIGN_S = 1e-3  # the machine's time between two checks of what threads outside of the turns have done
+FOREIGN_S = 1e-3  # the machine's time between two checks of what has happened outside of the turns
 OURS = {END_WITH_PARENT}  # names of such threads that do nothing for a script
 Class = TypeVar("Class", bound=type)
 TURN_POLL_NS = 1_000_000  # a thread whose answer depends on another thread polls at this interval
@@ -31,14 +31,14 @@ class Turn:
     """A waiting thread: it waits for a time, for an event, or for whichever comes first.
 
     Of two threads that may continue, the one that has waited longer does. `outside` waits for events of the machine,
-    such as data on a socket, for so many of the machine's seconds, None for ever; it is called when no thread can
-    continue, and of a `patient` thread also before its time-out, if nothing but that can make any thread continue.
+    such as data on a socket, for so many of the machine's seconds; it is called when no thread can continue, and of a
+    `patient` thread also before its time-out, if nothing but that can make any thread continue.
     """
 
     wake_ns: float
     order: int
     happened: Callable[[], bool] | None = None
-    outside: Callable[[float | None], object] | None = None
+    outside: Callable[[float], object] | None = None
     patient: bool = False
     begins: threading.Event = field(default_factory=threading.Event)
 
@@ -90,7 +90,7 @@ class Turns:
         self,
         happened: Callable[[], bool],
         timeout_s: float | None = None,
-        outside: Callable[[float | None], object] | None = None,
+        outside: Callable[[float], object] | None = None,
         patient: bool = False,
     ) -> bool:
         """Let other threads run until something has happened; False if the time-out passes first.
@@ -168,7 +168,7 @@ class Turns:
         """Wait for events of the machine, or of a thread outside of the turns; False if there can be none."""
         outside = next((turn.outside for turn in self._waiting if turn.outside is not None), None)
         if outside is not None:
-            outside(None)
+            outside(FOREIGN_S)  # others wait for events of their own
         elif any(
             thread.ident not in self._threads and thread.name not in OURS and thread not in self._strangers
             for thread in threading.enumerate()
