@@ -45,13 +45,13 @@ class LaneGames:
     """
 
     one_camera = False
+    rows: Any
+    arrays: Any
 
     def __init__(self, task: Task, count: int, device: th.device, rows_a_lane: int) -> None:
         self.maker = GameMaker(task)
         self.count, self.device = count, device
         self._host = self.maker.rows(count * rows_a_lane)
-        self.rows: Any
-        self.arrays: Any
         self.scales = th.ones(count * rows_a_lane, dtype=th.float64, device=device)
         self.begun = th.zeros(count, dtype=th.int64, device=device)
         self.starts: dict[str, Any] = {}

@@ -290,7 +290,7 @@ class CudaLanes:
         pictures = self._pictures.transpose(0, 1)
         flown = Flown(numbers, tick, position_m, collision, ticks, taken, th.stack([*states], 1), pictures)
         after, judged = self.judge.after(self.running, flown, self._actions)
-        assign_where(_but_seen(self.running), going, _but_seen(after))
+        assign_where(_without_observations(self.running), going, _without_observations(after))
         self.rewards.copy_(th.where(going, judged.reward, 0.0))
         self.success.copy_(judged.success & going)
         self.terminated.copy_(judged.terminated & going)
@@ -393,8 +393,7 @@ class CudaLanes:
         return {**info, **conditions}
 
 
-def _but_seen(games: Running) -> Running:
-    """Return games without their observations."""
+def _without_observations(games: Running) -> Running:
     return games._replace(observations=())
 
 

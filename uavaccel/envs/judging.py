@@ -219,8 +219,10 @@ class Judge:
         return dict(mapped(kept, dict(before), course))
 
     def _times(self, flown: Flown) -> tuple[Number, Number]:
-        """Return which samples (n, S) precede a collision, and when the frames were taken: later ones, which a
-        collision leaves blank, at the next decision."""
+        """Return which samples (n, S) precede a collision, and the frames' times.
+
+        Frames that a collision leaves blank are of the time of the next decision.
+        """
         xp = namespace_of(flown.tick)
         seen = xp.arange(flown.ticks.shape[1], device=flown.ticks.device) < flown.taken[:, None]
         return seen, xp.where(seen, flown.ticks * self._tick_ns, self._decided_ns(flown)[:, None])

@@ -242,7 +242,7 @@ class KernelBatch(TurnBatch):
     # --- inside -----------------------------------------------------------------------------------
 
     def _run(self, asked: int, lanes: NDArray[np.int64], frames: Frame) -> list[Future[None]]:
-        """Divide lanes among the threads."""
+        """Start what is `asked` of lanes (kernels/cpu), which are divided among the threads."""
         of_lanes: tuple[Any, ...] = self._goals, self._view, self._rows, self._now, self._plan, self._clocks
         of_lanes = *of_lanes, frames, self._samples
         parts = [part for part in np.array_split(lanes, self._threads) if len(part)]
