@@ -466,7 +466,12 @@ def selects(s: Script) -> None:
     with subprocess.Popen(["sh", "-c", "sleep 0.1; echo pong"], stdout=subprocess.PIPE) as other:
         s.say([*map(len, s.select.select([other.stdout], [], [], LATER_S))])
     read, write = os.pipe()
-    [thread] = s.start(lambda: (s.select.select([read], [], []), s.say(os.read(read, 9))))
+
+    def wait() -> None:
+        s.select.select([read], [], [])
+        s.say(os.read(read, 9))
+
+    [thread] = s.start(wait)
     with subprocess.Popen(["sh", "-c", "sleep 0.1; echo pong"], stdout=subprocess.PIPE) as other:
         s.units(1)  # the thread waits first, for what comes of what this one waits for
         s.select.select([other.stdout], [], [])
