@@ -467,11 +467,11 @@ def selects(s: Script) -> None:
         s.say([*map(len, s.select.select([other.stdout], [], [], LATER_S))])
     read, write = os.pipe()
 
-    def wait() -> None:
+    def answer() -> None:
         s.select.select([read], [], [])
         s.say(os.read(read, 9))
 
-    [thread] = s.start(wait)
+    [thread] = s.start(answer)
     with subprocess.Popen(["sh", "-c", "sleep 0.1; echo pong"], stdout=subprocess.PIPE) as other:
         s.units(1)  # the thread waits first, for what comes of what this one waits for
         s.select.select([other.stdout], [], [])
