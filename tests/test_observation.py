@@ -96,8 +96,7 @@ def test_ages_are_bands_a_level_for_20_ms() -> None:
 @pytest.mark.parametrize("flown", [{"command": "tcsc"}, {"command": "adsc", "timing": "virtual", "profile": "airsim"}])
 def test_pictures_and_flight_stay_as_they_were(flown: dict[str, Any]) -> None:
     plain, told = (ObstacleLane(clock_speed=10.0, knows=knows, **flown) for knows in ((), KNOWS))
-    for each in (plain, told):
-        each.reset(seed=3)
+    begun = [each.reset(seed=3)[0] for each in (plain, told)][1]
     for action in (2, 0, 4):
         before, after = plain.step(action), told.step(action)
         assert (before[0].shape, after[0].shape) == ((3, 36, 64), (5, 36, 64))
@@ -111,6 +110,7 @@ def test_pictures_and_flight_stay_as_they_were(flown: dict[str, Any]) -> None:
     else:  # the last one came after a callback of some 28 ms, ten times as long in simulated time
         assert bands[0] - bands[1] == pytest.approx(16, abs=4)
         assert bands[1] > 17 + 5
+    np.testing.assert_array_equal(told.reset(seed=3)[0], begun)
     plain.close()
     told.close()
 
