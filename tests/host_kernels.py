@@ -9,7 +9,7 @@ import os
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from functools import cache, partial
+from functools import partial
 from importlib import import_module
 from types import ModuleType
 from typing import Any
@@ -17,10 +17,10 @@ from typing import Any
 import numpy as np
 import pytest
 import torch as th
-from numba import jit, njit
 
 import uavaccel.envs
 import uavaccel.kernels
+from tests.compiling import Alone, alone, kept
 from uavaccel.kernels import clutter_games as _clutter_games
 from uavaccel.kernels import cpu as _cpu
 from uavaccel.kernels import events, lane_games
@@ -30,8 +30,6 @@ from uavaccel.kernels.fields import COLOUR, COLUMNS, ROWS
 from uavaccel.kernels.lane_clocks import LAUNCHED
 from uavaccel.kernels.pictures import make_scratch
 from uavaccel.sim.clutter import sample_clutter
-from uavaccel.sim.parts import Part
-from uavaccel.sim.vehicle.hotloop import sources, stamped
 
 SIZE = ROWS, COLUMNS
 ON_A_GPU = bool(os.environ.get("UAVACCEL_TEST_GPU"))
@@ -86,26 +84,6 @@ def launch(run: Callable[..., None]) -> Any:
     return Launch()
 
 
-SOURCES = sources(_cpu.__name__) ^ sources(_clutter_games.__name__)
-
-
-@cache
-def alone(part: Any) -> Any:
-    """A part compiled by itself, or loaded from numba's cache: a test process would else compile for a minute."""
-    return jit(cache=True, **part.targetoptions)(stamped(part.py_func, SOURCES))
-
-
-class Alone:
-    """A module whose parts are called from Python."""
-
-    def __init__(self, module: ModuleType) -> None:
-        self._module = module
-
-    def __getattr__(self, name: str) -> Any:
-        found = getattr(self._module, name)
-        return alone(found) if isinstance(found, Part) else found
-
-
 clutter_games, cpu, lanes = Alone(_clutter_games), Alone(_cpu), Alone(_lanes)
 
 
@@ -114,11 +92,9 @@ def _each_lane(part: Callable[..., None], which: Any, arguments: Any) -> None:
         part(lane, *arguments)
 
 
-def _paint(lane: int, looks: Any, games: Any, now: Any, scratch: Any, gray: Any) -> None:
+@kept(error_model="numpy")
+def paint(lane: int, looks: Any, games: Any, now: Any, scratch: Any, gray: Any) -> None:
     _cpu.paint(lane, looks, games, now, scratch, gray)
-
-
-paint = njit(cache=True, error_model="numpy")(stamped(_paint, SOURCES))
 
 
 class Kernels:
