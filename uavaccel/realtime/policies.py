@@ -61,8 +61,10 @@ class Policy:
         self._act, self._actions, self._state = act, actions, state
 
     def __call__(self, observation: Any) -> Any:
-        """Return the action for an observation."""
-        return fitting(self._act(observation), self._actions, self.name)
+        """Return the action for an observation, in the type of its space: some environments refuse any other."""
+        action, wanted = fitting(self._act(observation), self._actions, self.name), self._actions.dtype
+        castable = isinstance(action, np.ndarray) and np.can_cast(action.dtype, wanted, "same_kind")
+        return action.astype(wanted, copy=False) if castable else action
 
     def reset(self, seed: int | None = None) -> None:
         """Begin an episode."""
