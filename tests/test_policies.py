@@ -198,6 +198,7 @@ def test_an_action_stays_what_it_is() -> None:
         (REACH, [0.1], r"float64 \(1,\), where an action is \(2,\)"),
         (REACH, 0.1, r"0.1, where an action is \(2,\)"),
         (REACH, [0.1, float("nan")], r"float64 \(2,\) with NaN or infinity, where an action is \(2,\)"),
+        (REACH, [1e300, 0.0], r"float32 \(2,\) with NaN or infinity, where an action is \(2,\)"),
         (REACH, ["a", "b"], r"<U1 \(2,\), where an action is \(2,\)"),
         (REACH, [[0.1], [0.1, 0.2]], r"\[\[0.1\], \[0.1, 0.2\]\], where an action is \(2,\)"),
         (REACH, None, r"None, where an action is \(2,\)"),
