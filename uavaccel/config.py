@@ -175,7 +175,8 @@ def validate(
         giver = _giver(_dotted(mapping, first), first["msg"], given or {}, source)
         raise UserError(f"{giver}: {_explain(cls, mapping, error)}") from error
     except UserError as error:  # raised by a validator
-        raise type(error)(f"{_giver('', str(error), given or {}, source)}: {error}") from error
+        giver, said = _giver("", str(error), given or {}, source), str(error)
+        raise type(error)(said if said.startswith(giver) else f"{giver}: {said}") from error
     except (TypeError, ValueError) as error:
         raise UserError(f"{source}: not made of text, numbers, lists and mappings: {error}") from error
 
