@@ -163,9 +163,8 @@ def test_parts_are_scored_once_for_the_same_games(
 def test_rows_alone_decide_all_but_where_games_ended(report: Report) -> None:
     """Without their arrays nobody knows who won which lane: intervals are those of unpaired games."""
     run = RunDirectory(Path(report.config.with_run))
-    whole, alone = (
-        claims.trainings(flights_of(run.rows(), arrays), "airsim") for arrays in (run.load_arrays, lambda row: {})
-    )
+    whole = claims.trainings(flights_of(run.rows(), run.load_arrays), "airsim")
+    alone = claims.trainings(flights_of(run.rows(), lambda row: {}), "airsim")
     assert claims.won(whole, "tcsc", 5.0).won is not None
     assert claims.won(alone, "tcsc", 5.0).won is None
     with pytest.raises(claims.NoEvidence):
