@@ -136,7 +136,7 @@ def test_a_deadline_may_fall_before_the_end_or_before_the_callback() -> None:
     assert client.now_ns() == end_ns + 50 * US, "it has ended, but its callback is under way"
     assert client.join(future, end_ns + 149 * US)
     assert client.now_ns() == end_ns + 149 * US
-    assert future.result() is True
+    assert future.outcome() is True
     assert client.join(future), "a second join costs nothing"
     assert client.now_ns() == end_ns + 149 * US
 
@@ -235,9 +235,9 @@ def test_replies_find_their_calls_in_any_order(ends: tuple[SocketTransport, Peer
     for message_id, value in reversed(list(zip(ids, ("first", "second", "third"), strict=True))):
         peer.answer(message_id, value, "no" if value == "second" else None)
     assert all(transport.wait(call) for call in calls)
-    assert (calls[0].result(), calls[2].result()) == ("first", "third")
+    assert (calls[0].outcome(), calls[2].outcome()) == ("first", "third")
     with pytest.raises(rpc.RpcError, match=r"^no$"):
-        calls[1].result()
+        calls[1].outcome()
 
 
 @pytest.mark.parametrize("expected_in_ns", [None, 0, 5 * MS, 10**12])
@@ -256,7 +256,7 @@ def test_a_deadline_ends_a_wait_and_not_the_call(
         assert not call.done
     peer.answer(1, "late")
     assert transport.wait(call, transport.clock.now_ns() + 10**12)
-    assert call.result() == "late"
+    assert call.outcome() == "late"
 
 
 def test_an_answer_comes_before_the_moment_it_was_expected_at(ends: tuple[SocketTransport, Peer]) -> None:

@@ -96,11 +96,11 @@ def test_a_join_is_never_early_and_a_cancelled_command_answers_false(session: Se
     assert not came or client.now_ns() - issued_ns >= 50_000_000  # this process may have been held up
     assert client.join(future)
     assert client.now_ns() - issued_ns >= 50_000_000
-    assert future.result() is True
+    assert future.outcome() is True
     cancelled = client.move_async(NORTH, 1000.0)
     client.call("cancelLastTask")
     client.join(cancelled)
-    assert cancelled.result() is False
+    assert cancelled.outcome() is False
 
 
 def test_the_server_ends_with_its_session(monkeypatch: pytest.MonkeyPatch) -> None:
