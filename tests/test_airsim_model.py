@@ -133,13 +133,6 @@ def test_faults_come_with_their_shares_and_their_delays() -> None:
     assert shares == pytest.approx({200: 0.01, 40: 0.04, 7: 0.15, 0: 0.80}, abs=0.01)
 
 
-def test_every_message_is_delayed_by_a_fault_that_always_comes() -> None:
-    client = new_client(1.0, faults={"late": 1.0, "late_us": 3000.0})
-    start_ns = client.now_ns()
-    client.call("ping")
-    assert client.now_ns() - start_ns == (1 + 3 + 1 + 3) * MS
-
-
 # --- frames -------------------------------------------------------------------------------------------------
 
 

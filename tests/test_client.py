@@ -143,14 +143,6 @@ def test_the_client_expects_its_answers_when_they_are_due() -> None:
     assert client.clock_speed == 20.0
 
 
-def test_a_game_starts_where_and_as_fast_as_asked() -> None:
-    client, transport = new_client()
-    state = client.start_game(2.0, -3.5)
-    assert transport.sent == [("uavaccelStartGame", (2.0, -3.5), True, False)]
-    assert (state.position_m, state.linear_velocity_m_s) == ((0.0, 0.0, -3.5), (0.0, 0.0, 0.0))
-    assert client.speed()["clock_speed"] == 2.0
-
-
 def test_a_recording_arrives_as_it_was_made() -> None:
     client, transport = new_client()
     client.move_async(NORTH, 0.5)
