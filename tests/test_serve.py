@@ -11,7 +11,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from tests.airsim_client import MultirotorClient
+from tests.serving import client_of
 from tests.simulating import simulate
 from uavaccel.clock import VirtualClock
 from uavaccel.errors import UserError
@@ -66,7 +66,7 @@ def test_it_serves_settings_names_what_it_does_not_know_and_a_signal_ends_it(tmp
     path.write_text('{"ApiServerPort": 41452, "ClockSpeed": 20, "ViewMode": "Fpv", "Vehicles": {"Drone1": {}}}')
     with (
         serving("--settings", str(path), "--recordings", str(tmp_path / "there"), "--watch") as process,
-        MultirotorClient(port=(port := port_of(process, ": scene blocks, profile native, ClockSpeed 20\n"))) as client,
+        client_of(port := port_of(process, ": scene blocks, profile native, ClockSpeed 20\n")) as client,
     ):
         assert port != 41452, "the option is 0: any that is free"
         client.confirmConnection()
@@ -81,9 +81,9 @@ def test_it_serves_settings_names_what_it_does_not_know_and_a_signal_ends_it(tmp
         assert line_of(process) == f"recording to {recording}\n"
         client.moveByVelocityAsync(1, 0, 0, 1).join()
         for _ in range(3):
-            client.call_async("moveNowhere", 1).join()  # says nothing of its error, as AirSim's
-        client.call_async("moveByVelocity", "fast", 0, 0, 1, 0, {}).join()
-        client.call_async("move\x1b[2J\n").join()
+            client.client.call_async("moveNowhere", 1).join()  # says nothing of its error, as AirSim's
+        client.client.call_async("moveByVelocity", "fast", 0, 0, 1, 0, {}).join()
+        client.client.call_async("move\x1b[2J\n").join()
         assert line_of(process) == "warning: moveNowhere is not known here\n"
         assert line_of(process) == "warning: moveByVelocity was refused: vx must be a number, not str\n"
         assert line_of(process) == "warning: move?[2J? is not known here\n"
