@@ -189,11 +189,13 @@ def test_what_cannot_be_drawn_is_refused_alone() -> None:
     assert first["camera_orientation"] == last["camera_orientation"]
 
 
-def test_images_that_are_too_much_for_an_answer_are_refused_in_words() -> None:
-    wire = AirSimWire({"CameraDefaults": {"CaptureSettings": [{"ImageType": SCENE, "Width": 2048, "Height": 2048}]}})
-    assert len(wire.images(*[("0", SCENE, False)] * 5)) == 5
-    with pytest.raises(rpc.RpcError, match="the answer would have more than 64 MiB: ask for less at once"):
-        wire.images(*[("0", SCENE, False)] * 6)
+def test_images_that_are_too_much_for_an_answer_are_refused_in_words(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each has 108 KiB of bytes, or 180 KiB of numbers."""
+    monkeypatch.setattr("uavaccel.wire.image_api.MAX_ANSWER_BYTES", 1 << 20)
+    for as_float, most in ((False, 9), (True, 5)):
+        assert len(AirSimWire().images(*[("0", SCENE, as_float)] * most)) == most
+        with pytest.raises(rpc.RpcError, match="the answer would have more than 1 MiB: ask for less at once"):
+            AirSimWire().images(*[("0", SCENE, as_float)] * (most + 1))
 
 
 def test_the_ground_goes_on_beyond_a_hundred_metres() -> None:

@@ -25,8 +25,12 @@ SEED = np.random.SeedSequence(0)
 
 @pytest.fixture(scope="module")
 def session() -> Iterator[Session]:
-    with WallSession("blocks", "native") as session:
-        yield session
+    """Its server ends with it, by itself, on however busy a machine."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(transport, "END_S", 60.0)
+        with WallSession("blocks", "native") as session:
+            yield session
+        assert session.server.returncode == 0
 
 
 def fly(client: Client, command: str, t_move_s: float, rounds: int) -> dict[str, NDArray[np.float64]]:
@@ -101,11 +105,3 @@ def test_a_join_is_never_early_and_a_cancelled_command_answers_false(session: Se
     client.call("cancelLastTask")
     client.join(cancelled)
     assert cancelled.outcome() is False
-
-
-def test_the_server_ends_with_its_session(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(transport, "END_S", 60.0)  # by itself, on however busy a machine
-    session = WallSession("blocks", "native")
-    session.start_game(1.0, SEED)
-    session.close()
-    assert session.server.returncode == 0
