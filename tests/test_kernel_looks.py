@@ -21,7 +21,7 @@ from uavaccel.kernels import fields as at
 from uavaccel.kernels.appearance import empty_scenes, fill_scenes, mipmaps, read_appearance
 from uavaccel.kernels.faces import project
 from uavaccel.kernels.fields import Appearance, Scenes
-from uavaccel.kernels.pictures import render_colour, render_depth, render_gray
+from uavaccel.kernels.pictures import render_lanes
 from uavaccel.kernels.quads import (
     MOST_INTERVALS,
     MOST_PIECES,
@@ -108,32 +108,20 @@ def laid_out(appearance: Appearance, views: list[View]) -> tuple[Appearance, Sce
 
 
 @needs_opengl
-def test_gray_pictures_are_those_of_opengl(appearance: Appearance, lane_scene: Scene, camera: Camera) -> None:
-    views = drawn_views(48, seed=1)
-    apart = [
-        np.abs(camera.gray(show(lane_scene, view)).astype(int) - ours)
-        for view, ours in zip(views, render_gray(*laid_out(appearance, views)), strict=True)
-    ]
-    assert np.mean(apart) <= MEAN_LEVELS
-    assert np.mean(np.array(apart) > 10) <= SHARE_ABOVE_10
-    assert max(np.mean(picture) for picture in apart) <= 10 * MEAN_LEVELS
-
-
-@needs_opengl
-def test_colours_are_those_of_opengl(appearance: Appearance, lane_scene: Scene, camera: Camera) -> None:
-    views = drawn_views(16, seed=2)
-    for view, ours in zip(views, render_colour(*laid_out(appearance, views)), strict=True):
-        apart = np.abs(camera.colour(show(lane_scene, view)).astype(int) - ours)
-        assert np.mean(apart) <= MEAN_LEVELS
-        assert np.mean(apart > 10) <= SHARE_ABOVE_10
-
-
-@needs_opengl
-def test_depths_are_those_of_opengl(appearance: Appearance, lane_scene: Scene, camera: Camera) -> None:
-    views = drawn_views(16, seed=3)
-    for view, ours in zip(views, render_depth(*laid_out(appearance, views)), strict=True):
-        theirs = camera.depth(show(lane_scene, view))
+@pytest.mark.parametrize(("kind", "views"), [("gray", 48), ("colour", 16), ("depth", 16)])
+def test_pictures_are_those_of_opengl(
+    appearance: Appearance, lane_scene: Scene, camera: Camera, kind: Any, views: int
+) -> None:
+    drawn = drawn_views(views, seed=views + len(kind))
+    theirs = np.array([getattr(camera, kind)(show(lane_scene, view)).copy() for view in drawn])
+    ours = render_lanes(kind, *laid_out(appearance, drawn))
+    if kind == "depth":
         assert np.mean(np.abs(ours / theirs - 1) > 1e-3) <= SHARE_ABOVE_10
+        return
+    apart = np.abs(theirs.astype(int) - ours)
+    assert np.mean(apart) <= MEAN_LEVELS
+    assert np.mean(apart > 10) <= SHARE_ABOVE_10
+    assert max(np.mean(picture) for picture in apart) <= 10 * MEAN_LEVELS
 
 
 class Witness(Camera):
@@ -160,7 +148,7 @@ def test_an_event_camera_sees_a_flight_as_in_opengl(appearance: Appearance, lane
     scenes = empty_scenes(1)
     fill_scenes(appearance, scenes, [0], [sample_layout(lane_seed("evaluation", lane))])
     places, quaternions = mujoco_to_ned(poses[:, :3]), quaternion_mujoco_to_ned(poses[:, 3:])
-    ours = render_gray(appearance, scenes, np.zeros(len(poses), np.int32), places, quaternions)
+    ours = render_lanes("gray", appearance, scenes, np.zeros(len(poses), np.int32), places, quaternions)
     theirs = np.array([picture for _, picture in Witness.seen])
     assert len(theirs) >= 24
     mine, gl = seen_events(ours), seen_events(theirs)
@@ -205,7 +193,8 @@ def test_a_pixel_alone_is_that_of_the_picture(appearance: Appearance) -> None:
     """Column 100 of a picture, and row 70 of its depths."""
     arguments = laid_out(appearance, drawn_views(6, seed=4))
     faces, rows, columns = np.zeros((at.FACES, at.FIELDS), np.float32), np.arange(at.ROWS), np.arange(at.COLUMNS)
-    for number, (picture, depths) in enumerate(zip(render_gray(*arguments), render_depth(*arguments), strict=True)):
+    pictures, depths_of = render_lanes("gray", *arguments), render_lanes("depth", *arguments)
+    for number, (picture, depths) in enumerate(zip(pictures, depths_of, strict=True)):
         scene = appearance, arguments[1], number, arguments[3][number], arguments[4][number]
         project(*scene, True, faces)
         alone = [
@@ -299,7 +288,7 @@ def test_columns_and_quads_are_the_picture(appearance: Appearance) -> None:
     for number, picture in enumerate(drawn):
         project(appearance, arguments[1], number, arguments[3][number], arguments[4][number], True, faces)
         draw(appearance, faces, room(), shown, picture)
-    apart = np.abs(drawn.astype(int) - render_gray(*arguments))
+    apart = np.abs(drawn.astype(int) - render_lanes("gray", *arguments))
     assert np.mean(apart > 0) <= 5e-5
 
 

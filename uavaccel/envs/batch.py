@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from uavaccel.config import MOST_GAMES, MOST_PROCESSES
 from uavaccel.envs.arrays import mapped, select
 from uavaccel.envs.checks import actions_of, check_render_mode, lanes_of, make_task, seeds_of, whole_number
-from uavaccel.envs.environment_process import EnvironmentProcesses, observations_of
+from uavaccel.envs.environment_process import EnvironmentProcesses, Options, SlotsHere, observations_of
 from uavaccel.envs.flight_env import FlightEnv
 from uavaccel.envs.values import Actions, Answer, Batch, Info, Observation, Steps
 from uavaccel.errors import UserError
@@ -146,7 +146,10 @@ class EnvironmentBatch(TurnBatch):
             "form": self._observations.form,
             "autoreset": self.metadata["autoreset_mode"].value,
         }
-        self._slots = EnvironmentProcesses(options, num_envs, self.processes)
+        self._slots = self._started(environment, options)
+
+    def _started(self, environment: type[FlightEnv[Any]], options: Options) -> Any:
+        return EnvironmentProcesses(options, self.num_envs, self.processes)
 
     # --- Gymnasium --------------------------------------------------------------------------------
 
@@ -231,3 +234,10 @@ class EnvironmentBatch(TurnBatch):
 
     def _all(self, slots: Sequence[int] | None) -> Sequence[int]:
         return range(self.num_envs) if slots is None else slots
+
+
+class LanesHere(EnvironmentBatch):
+    """Environments in this process, where nothing else goes on while one of them flies."""
+
+    def _started(self, environment: type[FlightEnv[Any]], options: Options) -> Any:
+        return SlotsHere(environment, options, self.num_envs)
