@@ -17,13 +17,12 @@ from typing import Annotated, Any, Literal, get_args, get_origin
 import pytest
 from pydantic import BaseModel
 from rich.console import Console
-from typer.testing import CliRunner
 
 from tests.golden import assert_as_recorded
+from tests.running import typed
 from tools.write_cli_reference import reference
 from uavaccel import __version__
 from uavaccel.cli import experiments, terminal
-from uavaccel.cli.main import app
 from uavaccel.cli.options import one_of, shipped
 from uavaccel.cli.terminal import columns_within
 from uavaccel.draw.page import Table
@@ -43,13 +42,6 @@ def uavaccel(*arguments: str, **options: Any) -> "subprocess.CompletedProcess[st
     environment = {**os.environ, **options.pop("env", {})}
     options = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, **options}
     return subprocess.run([sys.executable, *arguments], cwd=ROOT, env=environment, text=True, check=False, **options)
-
-
-def typed(line: str) -> str:
-    """What a command prints, called as its shell would."""
-    done = CliRunner().invoke(app, line.split(), catch_exceptions=False)
-    assert done.exit_code == 0, done.output
-    return done.output
 
 
 # --- the shell --------------------------------------------------------------------------------------------------------

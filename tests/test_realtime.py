@@ -227,6 +227,8 @@ def test_what_was_measured_is_replayed_as_a_distribution(tmp_path: Path) -> None
     assert len(measured.taken_ns) == 1
     for taken_ns in range(10_000_000, 30_000_000, 100_000):
         measured.taken_ns.append(taken_ns)
+    with pytest.raises(UserError, match="No such file or directory"):
+        measured.save(tmp_path / "none" / "thinking.yaml")
     kept = measured.save(tmp_path / "thinking.yaml")
     replayed = drawn_s(thinking_time(str(kept)))
     assert np.median(replayed) == pytest.approx(0.02, rel=0.05)
