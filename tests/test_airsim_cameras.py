@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from tests.airsim_wire import AirSimWire, level_pose, xyz
+from tests.airsim_wire import AirSimWire, floats, level_pose, pixels, xyz
 from tests.scenes import BLOCKS, Pose, Seen, cast_from
 from uavaccel.wire import rpc
 from uavaccel.wire.pictures import Cameras, CameraSettings, id_of_name
@@ -56,15 +56,6 @@ def seen_from(mount: Any, vehicle: Pose = VEHICLE) -> Seen:
     return cast_from(eye, vehicle.matrix() @ turned(degrees), WIDE, columns, rows, fov_deg)
 
 
-def floats(response: dict[str, Any]) -> NDArray[np.float64]:
-    return np.array(response["image_data_float"]).reshape(response["height"], response["width"])
-
-
-def pixels(response: dict[str, Any]) -> NDArray[np.uint8]:
-    flat = np.frombuffer(response["image_data_uint8"], np.uint8)
-    return flat.reshape(response["height"], response["width"], 3)
-
-
 def test_optical_flow_is_empty_and_documented() -> None:
     wire = AirSimWire()
     for _ in range(2):
@@ -80,7 +71,7 @@ def test_optical_flow_is_empty_and_documented() -> None:
 @pytest.mark.parametrize("name", MOUNTS)
 def test_each_camera_sees_from_its_mount_through_its_lens(name: str) -> None:
     wire, mount = AirSimWire(SETTINGS), MOUNTS[name]
-    wire.call("simSetVehiclePose", VEHICLE.message(), True, "")
+    wire.move(VEHICLE)
     [response] = wire.images((name, PLANAR, True))
     assert (response["width"], response["height"]) == mount[2:4]
     seen, depth_m = seen_from(mount), floats(response)
@@ -102,7 +93,7 @@ def test_each_camera_sees_from_its_mount_through_its_lens(name: str) -> None:
 
 def test_an_external_camera_stands_in_the_world_and_sees_the_vehicle() -> None:
     wire = AirSimWire(SETTINGS)
-    wire.call("simSetVehiclePose", VEHICLE.message(), True, "")
+    wire.move(VEHICLE)
     request = {"camera_name": "mast", "image_type": PLANAR, "pixels_as_float": True}
     [response] = wire.call("simGetImages", [request], "", True)
     axes, eye = turned((0.0, -30.0, -45.0)), np.array([-5.0, 10.0, -20.0])
@@ -145,7 +136,7 @@ def test_a_camera_is_turned_where_it_is_and_moved_as_it_is_turned() -> None:
 
 def test_a_camera_is_moved_and_zoomed_and_nan_changes_nothing() -> None:
     wire = AirSimWire()
-    wire.call("simSetVehiclePose", VEHICLE.message(), True, "")
+    wire.move(VEHICLE)
     pose = Pose((0.2, 1.0, -0.3), (5.0, -30.0, 60.0))
     wire.call("simSetCameraPose", "0", pose.message(), "", False)
     wire.call("simSetCameraFov", "front_center", 50, "", False)
@@ -198,11 +189,13 @@ def test_what_cannot_be_drawn_is_refused_alone() -> None:
     assert first["camera_orientation"] == last["camera_orientation"]
 
 
-def test_images_that_are_too_much_for_an_answer_are_refused_in_words() -> None:
-    wire = AirSimWire({"CameraDefaults": {"CaptureSettings": [{"ImageType": SCENE, "Width": 2048, "Height": 2048}]}})
-    assert len(wire.images(*[("0", SCENE, False)] * 5)) == 5
-    with pytest.raises(rpc.RpcError, match="the answer would have more than 64 MiB: ask for less at once"):
-        wire.images(*[("0", SCENE, False)] * 6)
+def test_images_that_are_too_much_for_an_answer_are_refused_in_words(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each has 108 KiB of bytes, or 180 KiB of numbers."""
+    monkeypatch.setattr("uavaccel.wire.image_api.MAX_ANSWER_BYTES", 1 << 20)
+    for as_float, most in ((False, 9), (True, 5)):
+        assert len(AirSimWire().images(*[("0", SCENE, as_float)] * most)) == most
+        with pytest.raises(rpc.RpcError, match="the answer would have more than 1 MiB: ask for less at once"):
+            AirSimWire().images(*[("0", SCENE, as_float)] * (most + 1))
 
 
 def test_the_ground_goes_on_beyond_a_hundred_metres() -> None:

@@ -54,7 +54,7 @@ def with_sensors(**sensors: Any) -> AirSimWire:
 def test_a_tilted_imu_feels_the_force_along_its_own_axes() -> None:
     silent = dict.fromkeys(("AngularRandomWalk", "GyroBiasStability", "VelocityRandomWalk", "AccelBiasStability"), 0.0)
     wire = with_sensors(Imu={"SensorType": 2} | silent)
-    wire.call("simSetVehiclePose", TILTED.message(), True, "")
+    wire.move(TILTED)
     wire.fly(0.1)
     true, told = wire.call("simGetGroundTruthKinematics", ""), wire.call("getImuData", "", "")
     w, x, y, z = true["orientation"].values()
@@ -93,7 +93,7 @@ def test_the_air_and_the_field_are_those_of_the_place() -> None:
         Quiet={"SensorType": 1, "PressureFactorSigma": 0.0, **QUIET},
         Field={"SensorType": 4, "NoiseSigma": 0.0, "ScaleFactor": 2.0},
     )
-    wire.call("simSetVehiclePose", TILTED.message(), True, "")
+    wire.move(TILTED)
     altitude = 122.0 + 9.0
     told = wire.call("getBarometerData", "Quiet", "")
     geopotential = 6_378_137 * altitude / (6_378_137 + altitude)
@@ -144,7 +144,7 @@ def test_a_receiver_is_no_later_than_the_last_reset() -> None:
 
 def test_a_lidar_scans_its_channels_in_its_frame() -> None:
     wire = with_sensors()
-    wire.call("simSetVehiclePose", TILTED.message(), True, "")
+    wire.move(TILTED)
     told = wire.call("getLidarData", "Lidar", "")
     points = np.array(told["point_cloud"]).reshape(-1, 3)
     assert 300 < len(points) == len(told["segmentation"]) <= 800

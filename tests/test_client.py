@@ -9,31 +9,23 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.simulating import world_of
-from uavaccel.clock import VirtualClock
+from tests.simulating import NORTH, always, start
 from uavaccel.errors import UserError
 from uavaccel.kinematics import VelocityGoal
-from uavaccel.sim.profile import NATIVE
-from uavaccel.sim.simulation import Simulation
 from uavaccel.wire import rpc
-from uavaccel.wire.api import Api
-from uavaccel.wire.latency import QUANTILES, ZERO_LATENCY, Latency, LatencyConfig
+from uavaccel.wire.latency import QUANTILES, LatencyConfig
 from uavaccel.wire.session import Client, VirtualSession, open_session
 from uavaccel.wire.transport import VirtualTransport
 
 MS = 1_000_000
-NORTH = VelocityGoal((1.0, 0.0, 0.0))
 
 
 class LoggingTransport(VirtualTransport):
     """A virtual transport that notes what is sent: method, parameters, blocking, coalesced."""
 
-    def __init__(self, exclusive: bool) -> None:
-        world_of(NATIVE).reset()
-        simulation = Simulation(world_of(NATIVE))
+    def __init__(self, *inner: Any) -> None:
+        super().__init__(*inner)
         self.sent: list[tuple[Any, ...]] = []
-        draws = Latency(ZERO_LATENCY, np.random.SeedSequence(0))
-        super().__init__(Api(simulation, render=False), VirtualClock(), draws, exclusive)
 
     def send(self, method: str, params: Sequence[Any], blocking: bool, coalesced: bool = False) -> Any:
         self.sent.append((method, tuple(params), blocking, coalesced))
@@ -47,11 +39,10 @@ class LoggingTransport(VirtualTransport):
 
 
 def new_client(exclusive: bool = True, clock_speed: float = 1.0) -> tuple[Client, LoggingTransport]:
-    transport = LoggingTransport(exclusive)
-    client = Client(transport)
-    client.start_game(clock_speed)
-    transport.sent.clear()
-    return client, transport
+    client = start(clock_speed, transport=LoggingTransport, exclusive=exclusive)
+    assert isinstance(client.transport, LoggingTransport)
+    client.transport.sent.clear()
+    return client, client.transport
 
 
 # --- the known state ----------------------------------------------------------------------------------------
@@ -152,14 +143,6 @@ def test_the_client_expects_its_answers_when_they_are_due() -> None:
     assert client.clock_speed == 20.0
 
 
-def test_a_game_starts_where_and_as_fast_as_asked() -> None:
-    client, transport = new_client()
-    state = client.start_game(2.0, -3.5)
-    assert transport.sent == [("uavaccelStartGame", (2.0, -3.5), True, False)]
-    assert (state.position_m, state.linear_velocity_m_s) == ((0.0, 0.0, -3.5), (0.0, 0.0, 0.0))
-    assert client.speed()["clock_speed"] == 2.0
-
-
 def test_a_recording_arrives_as_it_was_made() -> None:
     client, transport = new_client()
     client.move_async(NORTH, 0.5)
@@ -186,7 +169,7 @@ def test_a_trace_is_told_once_and_only_while_switched_on() -> None:
 # --- sessions ---------------------------------------------------------------------------------------------------------
 
 
-SLOW = LatencyConfig(request_us={"call": (1000.0,) * len(QUANTILES)}, reply_us={"call": (500.0,) * len(QUANTILES)})
+SLOW = LatencyConfig(request_us={"call": always(1000.0)}, reply_us={"call": always(500.0)})
 DRAWN = LatencyConfig(request_us={"call": tuple(100.0 * (1 + n) for n in range(len(QUANTILES)))})
 
 
@@ -232,7 +215,7 @@ def test_a_game_has_its_height_speed_and_connection() -> None:
 
 
 def test_airsims_timers_are_late_in_virtual() -> None:
-    late = LatencyConfig(timer_us=(3000.0,) * len(QUANTILES))
+    late = LatencyConfig(timer_us=always(3000.0))
     with VirtualSession("blocks", "airsim", late) as session:
         client = session.start_game(1.0)
         assert client.continue_for(30 * MS).time_ns == 33 * MS

@@ -16,8 +16,6 @@ from uavaccel.sim.flight import FollowPath, Land, RotateToYaw, check_lookahead, 
 from uavaccel.sim.profile import AIRSIM, NATIVE, Profile
 from uavaccel.sim.simulation import Simulation
 from uavaccel.sim.vehicle import autopilot
-from uavaccel.wire import rpc
-from uavaccel.wire.session import open_session
 
 PROFILES = pytest.mark.parametrize("profile", [NATIVE, AIRSIM], ids=["native", "airsim"])
 AUTO, ADAPTIVE = -1.0, 1.0
@@ -147,15 +145,6 @@ def test_geographic_places() -> None:
     goal = (47.641468 + 1e-4, -122.140165, 132.0, 4.0, FOR_EVER, MAX_DOF, STRAIGHT, AUTO, ADAPTIVE)
     assert fly(api, "moveToGPS", *goal)[0] is True
     assert place(api)[0] == pytest.approx(11.13, abs=0.5)
-
-
-def test_our_own_client_keeps_to_exact_times() -> None:
-    with open_session("lockstep") as session:
-        client = session.start_game(1.0)
-        future = client.move_async(VelocityGoal((1.0, 0.0, 0.0)), 0.025)
-        client.run()
-        with pytest.raises(rpc.RpcError, match="not a positive multiple of the physics step of 2 ms"):
-            client.join(future)
 
 
 def moving(yaw_deg: float = 0.0, down_m_s: float = 0.0, turning_rad_s: float = 0.0) -> Kinematics:

@@ -11,12 +11,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.simulating import always
 from uavaccel.config import Config, dump_yaml, load_yaml, schema, to_yaml, validate
 from uavaccel.errors import UserError
 from uavaccel.resources import experiment
 from uavaccel.suites.dp1 import Dp1Config
 from uavaccel.wire.latency import (
-    QUANTILES,
     WAITS_MS,
     ZERO_LATENCY,
     Latency,
@@ -32,11 +32,6 @@ from uavaccel.wire.transport import PendingCall
 MS = 1_000_000
 RISING_US = (0.0, 1.0, 5.0, 20.0, 60.0, 150.0, 400.0, 2e3, 1e4, 5e4, 2e5, 1e6)
 CHANNELS = ("call", "move", "pause", "continue", "continue_for", "state", "image")
-
-
-def always(microseconds: float) -> tuple[float, ...]:
-    """Quantiles of a latency that is always the same."""
-    return (microseconds,) * len(QUANTILES)
 
 
 def latency_of(config: LatencyConfig, seed: int = 0, *key: int) -> Latency:

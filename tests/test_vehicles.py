@@ -175,14 +175,6 @@ def test_of_several_at_once_one_that_is_too_near_is_refused_with_all() -> None:
     assert len(api.simulation.pilots) == len(api.simulation.world.vehicles) == 2
 
 
-def test_objects_keep_the_ids_they_were_given_beside_a_newcomer() -> None:
-    api = hovering_alone()
-    block, *_ = call(api, "simListSceneObjects")
-    assert call(api, "simSetSegmentationObjectID", block, 42)
-    assert call(api, "simAddVehicle", "Second", "SimpleFlight", pose(5.0, 0.2, 2.0))
-    assert call(api, "simGetSegmentationObjectID", block) == 42
-
-
 def test_many_fly_and_the_last_command_wins() -> None:
     simulation = Simulation(World("blocks", NATIVE))
     places = [(-20.0 + 3 * (index % 10), -15.0 + 3 * (index // 10), -15.0) for index in range(1, MANY)]

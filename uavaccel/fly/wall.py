@@ -20,7 +20,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from uavaccel.airsim.connection import Future, SocketConnection, as_sent
+from uavaccel.airsim.connection import SocketConnection, as_sent
 from uavaccel.clock import MonotonicClock, counted_time_module
 from uavaccel.errors import UserError
 from uavaccel.fly.environment import script_environment
@@ -29,7 +29,7 @@ from uavaccel.fly.options import FlightOptions, FlightSummary
 from uavaccel.fly.script import FlightOver, ScriptResult, run_script
 from uavaccel.processes.lifetime import Watch, end_within, start_python
 from uavaccel.units import NS_PER_S
-from uavaccel.wire.rpc import LOOPBACK, Received
+from uavaccel.wire.rpc import LOOPBACK, Future, Received
 from uavaccel.wire.settings import Settings
 
 RECORDINGS = "recordings"

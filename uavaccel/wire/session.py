@@ -58,7 +58,7 @@ class Client:
         """Call any method of the wire, and wait for its result."""
         call = self.transport.send(method, params, blocking=True)
         self.transport.wait(call)
-        return call.result()
+        return call.outcome()
 
     def now_ns(self) -> int:
         return self.transport.clock.now_ns()
@@ -77,7 +77,7 @@ class Client:
     def join(self, future: PendingCall, deadline_ns: int | None = None) -> bool:
         if not self.transport.wait(future, deadline_ns):
             return False
-        future.result()
+        future.outcome()
         return True
 
     def pause(self) -> None:
@@ -90,9 +90,9 @@ class Client:
         call = self.transport.send("uavaccelContinueFor", (duration_ns,), blocking=True)
         call.expected_ns = self._wall_after(duration_ns)
         self.transport.wait(call)
-        state = decode_state(call.result())
+        state = decode_state(call.outcome())
         if self._moving is not None:
-            self._moving.result()  # nobody joins TCSC's command; one that was refused has been answered by now
+            self._moving.outcome()  # nobody joins TCSC's command; one that was refused has been answered by now
         self.transport.known.paused_at(state)
         return state
 

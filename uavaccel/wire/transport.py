@@ -27,7 +27,7 @@ from uavaccel.wire import rpc
 from uavaccel.wire.api import CALLS, Api
 from uavaccel.wire.broadcast import show_on_page
 from uavaccel.wire.latency import DEFAULT, Channel, Latency
-from uavaccel.wire.rpc import Received, ServerGoneError
+from uavaccel.wire.rpc import ServerGoneError
 
 START_S = 600.0  # to compile the hot loop
 SILENT_POLLS = 2  # a server that is silent and uses no CPU for so many seconds has been stopped, or waits for ever
@@ -98,16 +98,13 @@ class WatchedServer:
         end_within(self._process, END_S)
 
 
-class PendingCall:
-    """A call that a client has sent, and its reply once that has come."""
+class PendingCall(rpc.Future):
+    """A call that a client has sent over a transport, which waits for its answer."""
 
     def __init__(self, method: str, params: Sequence[object]) -> None:
+        super().__init__(method)
         known = CALLS.get(method)
-        self.method = method
         self.channel: Channel = DEFAULT if known is None else known.channel_of(params)
-        self.done = False
-        self.error: str | None = None
-        self.value: Received = None
         self.deferred: DeferredReply | None = None
         self.handled_ns = 0
         self.reply_wall_ns: int | None = None
@@ -123,12 +120,6 @@ class PendingCall:
     def ended_early(self) -> bool:
         """Return whether a later call, such as a new command, has ended what nobody has waited for to its end."""
         return self.deferred is not None and self.deferred.due_wall_ns is not None and self.reply_wall_ns is None
-
-    def result(self) -> Received:
-        """Return the value of the reply. Raises rpc.RpcError with the server's text."""
-        if self.error is not None:
-            raise rpc.RpcError(self.error)
-        return self.value
 
 
 class KnownState:
@@ -243,16 +234,14 @@ class SocketTransport(Transport):
 
     def _receive(self) -> None:
         try:
-            replies = list(self._rpc.receive())
+            answered = self._rpc.receive()
         except BlockingIOError:  # nothing for SILENCE_POLL_NS
             self._look()
             return
         except ConnectionError as error:
             raise ServerGoneError(str(error)) from None
-        for call, error_text, value in replies:
-            call.done, call.error, call.value = True, error_text, value
         if self._watch is not None:
-            self._count_silence([reply.call.due_ns() for reply in replies])
+            self._count_silence([call.due_ns() for call in answered])
 
     def _look(self) -> None:
         """Ping a watched server after SILENCE_POLL_NS of silence; later see whether its process has gone."""
@@ -307,7 +296,7 @@ class VirtualTransport(Transport):
         if isinstance(value, DeferredReply):
             call.deferred = value
         else:
-            call.value = value
+            call.result = value
             ready_ns = self._handled_ns
             if call.channel == "image":
                 ready_ns = self._api.simulation.frames.ready_ns(ready_ns)
@@ -357,7 +346,7 @@ class VirtualTransport(Transport):
             self._run_to(due)
         if call.reply_wall_ns is None:
             self._latency.waited(deferred.due_wall_ns - call.handled_ns)
-            call.value = deferred.encode(deferred.value)
+            call.result = deferred.encode(deferred.value)
             call.reply_wall_ns = deferred.due_wall_ns + self._latency.reply_ns(call.channel)
         return True
 
