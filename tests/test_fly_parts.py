@@ -90,6 +90,7 @@ def test_a_seed_is_that_of_generators_that_are_made_without_one() -> None:
         with Patches() as patches:
             process._seed(7, patches)
             own = [float(np.random.default_rng().random()), float(np.random.default_rng(3).random())]
+            own += [random.Random().random(), np.random.RandomState().rand()]
             space = spaces.Box(0.0, 1.0, (2,), np.float64)
             return [*own, *space.sample().tolist(), float(torch.rand(1)), random.random()]
 
