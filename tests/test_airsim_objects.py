@@ -11,7 +11,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.airsim_wire import AirSimWire, level_pose, vector
+from tests.airsim_wire import AirSimWire
+from tests.flying import point, pose
 from uavaccel.sim.objects import SceneObjects, cast, matching
 from uavaccel.sim.profile import NATIVE
 from uavaccel.sim.scene import QUADROTOR, SPARES
@@ -20,7 +21,7 @@ from uavaccel.wire import rpc
 from uavaccel.wire.pictures import colours
 
 NORTH = np.array([[1.0, 0.0, 0.0]])
-ONE = vector(1.0, 1.0, 1.0)
+ONE = point(1.0, 1.0, 1.0)
 BLOCK = "block_north"
 
 
@@ -39,7 +40,7 @@ def wire() -> Iterator[AirSimWire]:
 
 
 def spawn(wire: AirSimWire, name: str, asset: str, at: tuple[float, float, float], scale: Any = ONE) -> str:
-    told: str = wire.call("simSpawnObject", name, asset, level_pose(*at), scale, False, False)
+    told: str = wire.call("simSpawnObject", name, asset, pose(*at), scale, False, False)
     return told
 
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.flying import FOR_EVER, STRAIGHT, call, fly, go_on, hovering, place, point
+from tests.flying import FOR_EVER, STRAIGHT, call, fly, go_on, hovering, place, point, pose
 from tests.simulating import world_of
 from uavaccel.kinematics import Kinematics, VelocityGoal
 from uavaccel.sim.earth import GeoPoint, ned_of
@@ -221,8 +221,7 @@ def test_an_integral_gain_beats_wind_and_a_derivative_damps() -> None:
         api = hovering()
         call(api, "setPositionControllerGains", [1.0, 1.0, 0.25], [0.0] * 3, [kd, kd, 0.0])
         call(api, "rotateByYawRate", 0.0, 9.0)
-        beside = {"position": point(2.0, 0.0, -10.0), "orientation": {"w_val": 1.0, **point(0.0, 0.0, 0.0)}}
-        call(api, "simSetVehiclePose", beside, True)
+        call(api, "simSetVehiclePose", pose(2.0, 0.0, -10.0), True)
         reached = []
         for _ in range(90):
             go_on(api, 0.1)

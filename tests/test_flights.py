@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 
-from tests.flying import FOR_EVER, STRAIGHT, point
+from tests.flying import FOR_EVER, STRAIGHT, point, pose
 from uavaccel.errors import UserError
 from uavaccel.sim.profile import PROFILES
 from uavaccel.sim.simulation import DeferredReply, Pilot, Simulation
@@ -29,10 +29,6 @@ from uavaccel.wire.settings import Settings
 
 DEGREES = ("latitude", "longitude")
 FOLDER = Path(__file__).parent / "data/flights"
-
-
-def pose(x: float, y: float, z: float, **turned: float) -> dict[str, Any]:
-    return {"position": point(x, y, z), "orientation": {"w_val": 1.0, **point(0.0, 0.0, 0.0), **turned}}
 
 
 def moving(x: float, y: float, z: float, velocity: tuple[float, ...], turning: tuple[float, ...]) -> dict[str, Any]:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from tests.flying import STRAIGHT, call, go_on, place, point
+from tests.flying import STRAIGHT, call, go_on, place, pose
 from uavaccel.errors import UserError
 from uavaccel.sim.profile import NATIVE, Profile
 from uavaccel.sim.simulation import Simulation
@@ -33,11 +33,6 @@ def fleet(profile: Profile = NATIVE, **vehicles: Any) -> Api:
     for name in vehicles:
         call(api, "enableApiControl", True, name)
     return api
-
-
-def pose(x: float, y: float, z: float, **orientation: float) -> dict[str, Any]:
-    level = {"w_val": 1.0, "x_val": 0.0, "y_val": 0.0, "z_val": 0.0}
-    return {"position": point(x, y, z), "orientation": level | orientation}
 
 
 def dash(api: Api, vehicle: str, vx: float, vy: float, seconds: float = 60.0) -> Any:
