@@ -22,7 +22,7 @@ from gymnasium import spaces
 from uavaccel.fly import environment, process, simulated, wall
 from uavaccel.fly.log import MESSAGES, DifferenceError, MessageLog
 from uavaccel.fly.modules import Patches, named_module, of_a_script
-from uavaccel.fly.options import SUMMARY, FlightOptions, found_settings
+from uavaccel.fly.options import SUMMARY, FlightOptions
 from uavaccel.fly.script import ScriptResult, run_script
 
 # --- the process -----------------------------------------------------------------------------------------------------
@@ -191,16 +191,6 @@ def test_a_script_runs_as_python_runs_it(
     assert result[:2] == (status, True)
     assert (sys.path[0], sys.argv) == (str(tmp_path), [str(script), "a", "b c"])
     assert (outlived, capsys.readouterr().err) == ([True], said)
-
-
-def test_settings_are_airsims_by_one_of_their_keys(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("HOME", str(tmp_path / "home"))
-    beside = tmp_path / "settings.json"
-    mine = ('{"SettingsVersion": 1.2}', '{"ClockSpeed": 5, "theme": "dark"}', '{"SimMode": "Multirotor"}')
-    for text in (*mine, '{"Vehicles": {}}', '{"theme": "dark"}', "{}", '["ClockSpeed"]', "{"):
-        beside.write_text(text)
-        airsims = text in mine or "Vehicles" in text
-        assert found_settings(tmp_path / "script.py") == (beside if airsims else None)
 
 
 # --- a server of its own ---------------------------------------------------------------------------------------------
