@@ -122,17 +122,6 @@ def test_what_a_camera_leaves_out_of_its_lens_is_of_the_defaults() -> None:
         assert Cameras(common, {"0": given}).named("front_center").lens(0) == lens
 
 
-def test_a_camera_is_turned_where_it_is_and_moved_as_it_is_turned() -> None:
-    wire, unknown = AirSimWire(), float("nan")
-    wire.call("simSetCameraPose", "0", pose(0.2, 1.0, -0.3), "", False)
-    turned, moved = pose(*[unknown] * 3, w_val=0.5**0.5, z_val=0.5**0.5), pose(2.0, 3.0, -4.0, w_val=unknown)
-    for given, place in ((turned, [0.2, 1.0, -10.3]), (moved, [2.0, 3.0, -14.0])):
-        wire.call("simSetCameraPose", "0", given, "", False)
-        told = wire.call("simGetCameraInfo", "0", "", False)["pose"]
-        assert xyz(told["position"]) == pytest.approx(place, abs=1e-3)
-        assert [told["orientation"][axis] for axis in ("w_val", "z_val")] == pytest.approx([0.5**0.5] * 2, abs=1e-3)
-
-
 def test_a_camera_is_moved_and_zoomed_and_nan_changes_nothing() -> None:
     wire = AirSimWire()
     wire.move(VEHICLE)
@@ -204,11 +193,3 @@ def test_the_ground_goes_on_beyond_a_hundred_metres() -> None:
     expected = np.broadcast_to((5.0 / rows[below])[:, None], (below.sum(), 256))
     np.testing.assert_allclose(floats(response)[below], expected, rtol=1e-2)
     assert (floats(response)[rows < 0] == SKY_M).all()
-
-
-def test_distortion_is_kept_and_told_and_said_to_be_without_effect() -> None:
-    wire = AirSimWire()
-    for _ in range(2):
-        wire.call("simSetDistortionParam", "0", "K2", 0.25, "", False)
-    assert wire.call("simGetDistortionParams", "0", "", False) == [0.0, 0.25, 0.0, 0.0, 0.0]
-    assert wire.said == ["simSetDistortionParam: accepted; pictures stay undistorted"]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from typing import Any
+from unittest.mock import patch
 
 import numpy as np
 import pytest
@@ -39,24 +40,15 @@ def dash(api: Api, vehicle: str, vx: float, vy: float, seconds: float = 60.0) ->
     return call(api, "moveByVelocity", vx, vy, 0.0, seconds, 0, STRAIGHT, vehicle)
 
 
-@pytest.mark.parametrize("name", ["\0", "A\0B", "\n", "A\tB", "\udcff", "A" * 257, "", "A/B", "SimpleFlight"])
-def test_one_that_cannot_be_added_changes_nothing(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Nor does one of which no model can be made."""
-
-    def full(*_: object, **__: object) -> None:
-        raise MemoryError("no room for a model")
-
+def test_one_of_which_no_model_can_be_made_changes_nothing() -> None:
     ends = []
     for refused in (True, False):
         api = hovering_alone()
         dash(api, "", 1.0, 1.0)
+        full = patch("uavaccel.sim.world.load_scene", side_effect=MemoryError("no room for a model"))
         if refused:
-            with pytest.raises(rpc.RpcError, match="a vehicle cannot be called"):
-                call(api, "simAddVehicle", name, "simpleflight", pose(3.0, -6.0, 0.0), "")
-            monkeypatch.setattr("uavaccel.sim.world.load_scene", full)
-            with pytest.raises(rpc.RpcError, match="no room for a model"):
+            with full, pytest.raises(rpc.RpcError, match="no room for a model"):
                 call(api, "simAddVehicle", "New", "simpleflight", pose(3.0, -6.0, 0.0), "")
-            monkeypatch.undo()
         go_on(api, 1.0)
         ends.append(place(api).tolist())
         assert call(api, "listVehicles") == ["SimpleFlight"]
