@@ -95,7 +95,7 @@ def test_threads_share_a_client(client: airsim.MultirotorClient) -> None:
 def test_nobody_listens() -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
-    with pytest.raises(ConnectionError, match=f"no server at 127.0.0.1:{port}"):
+    with pytest.raises(ConnectionError, match=f"no server at 127.0.0.1:{port} .* start one with `uavaccel serve`"):
         airsim.MultirotorClient(port=port)
 
 

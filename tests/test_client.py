@@ -39,8 +39,8 @@ class LoggingTransport(VirtualTransport):
         return methods
 
 
-def new_client(exclusive: bool = True, clock_speed: float = 1.0) -> tuple[Client, LoggingTransport]:
-    client = start(clock_speed, transport=LoggingTransport, exclusive=exclusive)
+def new_client(clock_speed: float = 1.0) -> tuple[Client, LoggingTransport]:
+    client = start(clock_speed, transport=LoggingTransport)
     assert isinstance(client.transport, LoggingTransport)
     client.transport.sent.clear()
     return client, client.transport
@@ -101,18 +101,6 @@ def test_what_may_change_the_state_makes_it_unknown(call: tuple[Any, ...]) -> No
     with pytest.raises(rpc.RpcError):
         client.call("uavaccelNobodyKnows")  # it may be one of a server that is newer than its client
     assert transport.known.state is None
-
-
-def test_nothing_is_known_where_others_may_fly_too() -> None:
-    client, transport = new_client(exclusive=False)
-    client.continue_for(100 * MS)
-    client.kinematics()
-    client.move_async(NORTH, 1.0)
-    assert [(method, coalesced) for method, _, _, coalesced in transport.sent] == [
-        ("uavaccelContinueFor", False),
-        ("uavaccelState", False),
-        ("moveByVelocity", False),
-    ]
 
 
 # --- what is sent -------------------------------------------------------------------------------------------
@@ -198,7 +186,6 @@ def test_a_game_has_its_height_speed_and_connection() -> None:
     with VirtualSession("blocks", "native") as session:
         client = session.start_game(5.0, height_m=-3.0)
         assert client.clock_speed == client.speed()["clock_speed"] == 5.0
-        assert client.transport.known.exclusive
         state = client.kinematics()
         assert (state.time_ns, state.position_m) == (0, (0.0, 0.0, -3.0))
         client.move_async(VelocityGoal((1.0, 0.0, 0.0)), 1.0)

@@ -112,7 +112,7 @@ class WallFlight:
         """Run the script against a server, for `until_s` at most. Raises UserError."""
         options = self._options
         with self._stack as stack:
-            served = stack.enter_context(serving(options, self._clock_speed, settings=self._settings))
+            served = stack.enter_context(serving(options, self._clock_speed, self._settings))
             self._watch = served.watch
             recorder = SocketConnection(LOOPBACK, served.port, ANSWER_S)
             recorder.call("startRecording")
@@ -159,14 +159,12 @@ class Served(NamedTuple):
 
 
 @contextmanager
-def serving(
-    options: FlightOptions, clock_speed: float, port: int = 0, settings: Path | None = None
-) -> Iterator[Served]:
-    """Run a server for one flight, on `port` or a free one. Raises UserError if it does not start.
+def serving(options: FlightOptions, clock_speed: float, settings: Path | None) -> Iterator[Served]:
+    """Run a server for one flight, on a free port. Raises UserError if it does not start.
 
     FlightOver is raised in the main thread if the server ends, or is stopped, within the `with` block.
     """
-    arguments = ["serve", "--port", str(port), "--clock", f"{clock_speed:g}"]
+    arguments = ["serve", "--port", "0", "--clock", f"{clock_speed:g}"]
     arguments += ["--profile", options.profile, "--scene", options.scene]
     arguments += ["--recordings", str(options.folder / RECORDINGS)]
     if settings:
