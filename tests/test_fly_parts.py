@@ -214,8 +214,8 @@ def test_a_flight_in_wall_time_starts_a_server_and_passes_on_warnings(
     monkeypatch.setattr(wall, "Watch", lambda *_: watch)
     monkeypatch.setattr(wall, "end_within", lambda *_: started.append("ended"))
     options = FlightOptions(Path("script.py"), (), tmp_path, "wall", profile="airsim", scene="lane", clock_speed=9.0)
-    with wall.serving(options, 2.5, settings=settings) as served:
-        assert served.port == 8123
+    with wall.serving(options, 2.5, settings) as (port, _):
+        assert port == 8123
     (_, _, *arguments), *ends = started
     assert ends == ["no longer watched", "SIGINT", "ended"]
     asked = ["serve", "--port", "0", "--clock", "2.5", "--profile", "airsim", "--scene", "lane"]
