@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from typing import Any
 
 import numpy as np
 import pytest
@@ -20,7 +19,6 @@ from uavaccel.sim.world import World
 from uavaccel.wire import rpc
 from uavaccel.wire.pictures import colours
 
-NORTH = np.array([[1.0, 0.0, 0.0]])
 ONE = point(1.0, 1.0, 1.0)
 BLOCK = "block_north"
 
@@ -39,8 +37,8 @@ def wire() -> Iterator[AirSimWire]:
             wire.call("simDestroyObject", name)
 
 
-def spawn(wire: AirSimWire, name: str, asset: str, at: tuple[float, float, float], scale: Any = ONE) -> str:
-    told: str = wire.call("simSpawnObject", name, asset, pose(*at), scale, False, False)
+def spawn(wire: AirSimWire, name: str, asset: str, at: tuple[float, float, float]) -> str:
+    told: str = wire.call("simSpawnObject", name, asset, pose(*at), ONE, False, False)
     return told
 
 

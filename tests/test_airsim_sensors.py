@@ -200,11 +200,6 @@ def test_a_lidar_has_a_hundred_thousand_points_at_most_and_none_without_half_a_o
     assert directions(lidar(64, 320), 0.0).shape == (64, 3)
 
 
-def drifting(tau_s: float, sigma: float = 0.05) -> AirSimWire:
-    keys = {"PressureFactorTau": tau_s, "PressureFactorSigma": sigma, "UncorrelatedNoiseSigma": 0.0}
-    return with_sensors(Baro={"SensorType": 1, **keys})
-
-
 def drift_of(wire: AirSimWire) -> float:
     true = wire.call("simGetGroundTruthEnvironment", "")["air_pressure"]
     return wire.call("getBarometerData", "", "")["pressure"] / true - 1.0
@@ -213,7 +208,8 @@ def drift_of(wire: AirSimWire) -> float:
 def test_a_barometer_drifts_as_airsims_gauss_markov_process() -> None:
     """Each fiftieth of a second keeps exp(-dt/tau) and gains the rest of a normal number; anew with a reset."""
     keep, sigma = math.exp(-0.02 / 2.0), 0.05
-    wire = drifting(2.0)
+    drifting = {"PressureFactorTau": 2.0, "PressureFactorSigma": sigma, **QUIET}
+    wire = with_sensors(Baro={"SensorType": 1, **drifting})
     values = [drift_of(wire)]
     for _ in range(400):
         wire.fly(0.02)

@@ -25,7 +25,7 @@ from uavaccel.sim.profile import NATIVE
 from uavaccel.sim.world import World
 
 EYE_AHEAD_M = 0.46
-WALL_FACE_M, POST_FACE_M = 5.0, 6.0
+POST_FACE_M = 6.0
 SCENE = """
 <mujoco>
   <include file="{quadrotor}"/>

@@ -19,7 +19,7 @@ from uavaccel.sim.vehicle import autopilot
 
 PROFILES = pytest.mark.parametrize("profile", [NATIVE, AIRSIM], ids=["native", "airsim"])
 AUTO, ADAPTIVE = -1.0, 1.0
-MAX_DOF, FORWARD_ONLY = 0, 1
+MAX_DOF = 0
 
 
 def carrot(path: list[Any], travelled: float, ahead: float) -> tuple[float, Any]:

@@ -36,15 +36,11 @@ def fleet(profile: Profile = NATIVE, **vehicles: Any) -> Api:
     return api
 
 
-def dash(api: Api, vehicle: str, vx: float, vy: float, seconds: float = 60.0) -> Any:
-    return call(api, "moveByVelocity", vx, vy, 0.0, seconds, 0, STRAIGHT, vehicle)
-
-
 def test_one_of_which_no_model_can_be_made_changes_nothing() -> None:
     ends = []
     for refused in (True, False):
         api = hovering_alone()
-        dash(api, "", 1.0, 1.0)
+        call(api, "moveByVelocity", 1.0, 1.0, 0.0, 60.0, 0, STRAIGHT)
         full = patch("uavaccel.sim.world.load_scene", side_effect=MemoryError("no room for a model"))
         if refused:
             with full, pytest.raises(rpc.RpcError, match="no room for a model"):
