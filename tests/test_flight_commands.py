@@ -122,7 +122,7 @@ def test_a_path_looks_as_far_ahead_as_it_is_told_or_as_airsim_does() -> None:
 def test_who_flies_faster_than_3_m_s_past_the_end_turns_back_at_1_m_s(velocity_m_s: float, back_m_s: float) -> None:
     """10 m north, and 15 m after the first turn; a place on the way is left at the speed that was asked for."""
     points = np.array([(0.0, 0.0, -9.0), (10.0, 0.0, -9.0)])
-    task = FollowPath(points, velocity_m_s, 99.0, False, 0.0, True, 3.0, 1.0)
+    task = FollowPath(points, velocity_m_s, 99.0, False, autopilot.STRAIGHT_ON, 3.0, 1.0)
     for north_m, speed_m_s in ((0.0, velocity_m_s), (2.0, velocity_m_s), (15.0, -back_m_s)):
         now = Kinematics(0, (north_m, 0.0, -9.0), (1.0, 0.0, 0.0, 0.0), (0, 0, 0), (0, 0, 0))
         goal, result = task.turn(now, 0.02)
