@@ -7,8 +7,10 @@ from functools import cache
 from typing import Any
 
 import msgpack
+import numpy as np
+from numpy.typing import NDArray
 
-from tests.scenes import BLOCKS
+from tests.scenes import BLOCKS, Pose
 from uavaccel.sim.objects import SceneObjects
 from uavaccel.sim.poses import Pose as ScenePose
 from uavaccel.sim.profile import NATIVE
@@ -35,23 +37,28 @@ def airsim_world() -> World:
     return world
 
 
-def vector(x: float, y: float, z: float) -> dict[str, float]:
-    return {"x_val": x, "y_val": y, "z_val": z}
-
-
 def xyz(field: Mapping[str, float]) -> list[float]:
     return [field[key] for key in ("x_val", "y_val", "z_val")]
 
 
-def level_pose(x: float, y: float, z: float) -> dict[str, Any]:
-    return {"position": vector(x, y, z), "orientation": {"w_val": 1.0, "x_val": 0.0, "y_val": 0.0, "z_val": 0.0}}
+def floats(response: Mapping[str, Any]) -> NDArray[np.float64]:
+    """The picture of metres or fractions in a response."""
+    assert response["image_data_uint8"] == b""
+    return np.array(response["image_data_float"]).reshape(response["height"], response["width"])
+
+
+def pixels(response: Mapping[str, Any]) -> NDArray[np.uint8]:
+    """The picture of blue, green and red in a response."""
+    assert response["image_data_float"] == []
+    flat = np.frombuffer(response["image_data_uint8"], np.uint8)
+    return flat.reshape(response["height"], response["width"], 3)
 
 
 class AirSimWire:
     """A settled hover 10 m up, running at 1x, API control on; replies are what a client unpacks."""
 
-    def __init__(self, settings: Mapping[str, Any] | None = None, **api: Any) -> None:
-        self.world = airsim_world()
+    def __init__(self, settings: Mapping[str, Any] | None = None, world: World | None = None, **api: Any) -> None:
+        self.world = world or airsim_world()
         self.world.lead.state["wind"] = 0.0
         self.world.reset()
         self.said: list[str] = []
@@ -70,6 +77,9 @@ class AirSimWire:
     def fly(self, seconds: float) -> None:
         self.wall_ns += round(seconds * 1000) * MS
         self.simulation.advance_to(self.wall_ns)
+
+    def move(self, pose: Pose) -> None:
+        self.call("simSetVehiclePose", pose.message(), True, "")
 
     def images(self, *requests: tuple[str, int, bool]) -> list[dict[str, Any]]:
         """Camera, type, and whether as numbers."""

@@ -68,6 +68,16 @@ def signals_as_before() -> Iterator[None]:
         signal.signal(kind, handler)
 
 
+@pytest.fixture
+def without_camera(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let the page begin as where nothing can be rendered."""
+
+    def make_camera(*_: object) -> None:
+        raise UserError("no OpenGL")
+
+    monkeypatch.setattr("uavaccel.watch.page.make_camera", make_camera)
+
+
 # Those that compile kernels: one process, which does it once, and begins with what others load from disk. On a fresh
 # clone that takes more than a minute; who flies the kernels is not among the first.
 KERNELS = re.compile(

@@ -12,18 +12,22 @@ from contextlib import contextmanager
 from functools import partial
 from importlib import import_module
 from types import ModuleType
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pytest
 import torch as th
-from numba import njit
 
 import uavaccel.envs
 import uavaccel.kernels
-from uavaccel.kernels import clutter_games, cpu, events, lane_clocks, lane_games, lanes
+from tests.compiling import Alone, alone, kept
+from uavaccel.kernels import clutter_games as _clutter_games
+from uavaccel.kernels import cpu as _cpu
+from uavaccel.kernels import events, lane_games
+from uavaccel.kernels import lanes as _lanes
 from uavaccel.kernels.clutter_games import put_clutter
 from uavaccel.kernels.fields import COLOUR, COLUMNS, ROWS
+from uavaccel.kernels.lane_clocks import LAUNCHED
 from uavaccel.kernels.pictures import make_scratch
 from uavaccel.sim.clutter import sample_clutter
 
@@ -35,14 +39,6 @@ ABOVE = {
     "uavaccel.envs": ("cuda_clocks", "cuda_games", "cuda_view", "cuda_lanes", "cuda_batch"),
     "uavaccel.rl": ("patches",),
 }
-
-
-class Plan(NamedTuple):
-    hull: Any
-    texels: Any
-    textures: Any
-    appearance: Any
-    sensor: Any
 
 
 class Late:
@@ -88,124 +84,77 @@ def launch(run: Callable[..., None]) -> Any:
     return Launch()
 
 
-def _each_lane(function: Callable[..., None], which: Any, *arguments: Any) -> None:
+clutter_games, cpu, lanes = Alone(_clutter_games), Alone(_cpu), Alone(_lanes)
+
+
+def _each_lane(part: Callable[..., None], which: Any, arguments: Any) -> None:
     for lane in np.flatnonzero(which):
-        function(lane, *arguments)
+        part(lane, *arguments)
 
 
-@njit(error_model="numpy")
-def _paint(lane: int, looks: Any, games: Any, now: Any, scratch: Any, gray: Any) -> None:
-    cpu.paint(lane, looks, games, now, scratch, gray)
-
-
-def sees(*arguments: Any) -> bool:
-    """Whether a kernel computes events, and does not count beforehand: `arguments` end with an events.Rest or ()."""
-    return arguments[-1] == () or not arguments[-1].counting
+@kept(error_model="numpy")
+def paint(lane: int, looks: Any, games: Any, now: Any, scratch: Any, gray: Any) -> None:
+    _cpu.paint(lane, looks, games, now, scratch, gray)
 
 
 class Kernels:
     """Each kernel as an attribute; `kernel[grid](flags of lanes, ...)` runs at once."""
 
     def __init__(self) -> None:
-        self._scratch, self._picture = make_scratch(), np.empty((ROWS, COLUMNS), np.uint8)
-        self._levels: dict[int, Any] = {}  # sums of the picture that a lane has drawn last
+        self._scratch, self._picture = alone(make_scratch)(), np.empty((ROWS, COLUMNS), np.uint8)
+        self._levels: dict[int, Any] = {}  # sums of the colours that a lane has shown last
+        self._seen: tuple[Any, ...] = ()  # what the lane's pictures are drawn of next
 
     def __getattr__(self, name: str) -> Any:
         work: Any = getattr(type(self), f"run_{name}", None)
         if work is None:
-            return launch(partial(_each_lane, getattr(lane_clocks, name)))
+            return launch(partial(_each_lane, alone(LAUNCHED[name])))
         return launch(lambda which, *arguments: work(self, np.flatnonzero(which).tolist(), *arguments))
-
-    def run_deal(self, which: Any, distribution: Any, deals: Any, games: Any) -> None:
-        for lane in which:
-            lane_games.deal(lane, distribution, deals, games)
 
     def run_deal_clutter(self, which: Any, distribution: Any, deals: Any, games: Any) -> None:
         for lane in which:
             clutter_games.deal(lane, distribution, deals, games)
             stream, goal = deals.streams[lane, lane_games.OF_LAYOUT], deals.goals[lane]
-            sample_clutter(distribution.clutter, stream, goal[0], -goal[1], deals.layouts[lane])
+            alone(sample_clutter)(distribution.clutter, stream, goal[0], -goal[1], deals.layouts[lane])
             put_clutter(deals.layouts[lane], games.solids, games.scenes, lane)
-
-    def run_begin(self, which: Any, rows: Any, games: Any, now: Any) -> None:
-        for lane in which:
-            lanes.begin(lane, rows[lane], games, now)
-            lanes.refresh(games.parameters[rows[lane]], now.state[lane], now.body[lane])
-
-    def run_begin_clocks(self, which: Any, rows: Any, scales: Any, games: Any, *clocks: Any) -> None:
-        for lane in which:
-            lane_clocks.begin(lane, rows[lane], scales[rows[lane]], games, *clocks)
-
-    def run_reach(self, which: Any, sample: int, now: Any, timing: Any, clocks: Any, looking: Any, legs: Any) -> None:
-        looking[:] = 0
-        for lane in which:
-            lane_clocks.reach(lane, sample, now, timing, clocks, looking, legs)
-
-    def run_save_shown(self, which: Any, now: Any, clocks: Any, to_shown: Any) -> None:
-        for lane in which:
-            if to_shown[lane] >= 0:
-                lane_clocks.save_shown(lane, now, clocks)
-
-    def run_command(self, which: Any, goals: Any, modes: Any, now: Any) -> None:
-        for lane in which:
-            lanes.command(lane, goals, modes, now)
-
-    def run_resume(self, which: Any, before: Any, share: float, games: Any, now: Any) -> None:
-        for lane in which:
-            lanes.resume(lane, lane, before.state, before.body, share, games, now)
 
     def run_fly(self, which: Any, ticks: Any, games: Any, now: Any, hull: Any, threads: int) -> None:
         for lane in which:
             lanes.fly(lane, int(ticks[lane]), games, now, hull)
 
-    def run_start(self, which: Any, faces: Any, shown: Any, plan: Any, games: Any, now: Any, pixels: Any) -> None:
-        for lane in which:
-            cpu.render_gray(lane, plan.appearance, games, now, 1, self._scratch, self._picture)
-            self._levels[lane] = self._scratch.channels[0].sum()
-            cpu.start(lane, self._picture, pixels, plan.sensor, games.cameras[now.game[lane]])
+    def run_project(self, which: Any, sky: bool, looks: Any, games: Any, now: Any, faces: Any) -> None:
+        self._seen = looks, games, now._replace(state=now.state.copy())
 
-    def run_see(self, which: Any, take: int, faces: Any, shown: Any, plan: Any, *of_lanes: Any) -> None:
-        self._see(which, 1, take, True, plan, *of_lanes)
+    def run_draw_gray(self, which: Any, faces: Any, shown: Any, looks: Any, gray: Any) -> None:
+        self.run_cast_gray(which, *self._seen, None, gray)
 
-    def run_see_noise(self, which: Any, tick_ns: int, take: int, faces: Any, shown: Any, *of_lanes: Any) -> None:
-        if sees(*of_lanes):
-            self._see(which, tick_ns, take, False, *of_lanes[:-1])
-
-    def _see(self, which: Any, tick_ns: int, take: int, plain: bool, plan: Any, *of_lanes: Any) -> None:
+    def run_see(self, which: Any, take: int, faces: Any, shown: Any, looks: Any, sensor: Any, *of_lanes: Any) -> None:
         games, now, pixels, frames = of_lanes
         for lane in which:
-            if events.is_plain(games.cameras[now.game[lane]], pixels.filtered.size) != plain:
-                continue
-            if take:
-                frames[lane] = 128
-            if lanes.touched(lane, now):
-                continue
-            game = now.game[lane]
-            cpu.render_gray(lane, plan.appearance, games, now, tick_ns, self._scratch, self._picture)
-            self._levels[lane] = self._scratch.channels[0].sum()
-            time_s = cpu.moment_ns(lane, now, tick_ns) * events.NS
-            seed = games.seeds[game, lanes.EVENT_SEED]
-            cpu.see(lane, self._picture, time_s, pixels, plan.sensor, games.cameras[game], seed)
-            if take:
-                cpu.pop_events(lane, pixels, frames[lane][None])
+            assert events.is_plain(games.cameras[now.game[lane]], pixels.filtered.size)
+            cpu.render_gray(lane, looks, games, now, 1, self._scratch, self._picture)
+            self._see(lane, self._picture, 1, sensor, games, now, pixels)
+        if take:
+            self.run_take_frames(which, now, pixels, frames)
 
-    def run_show(self, which: Any, kind: int, tick_ns: int, faces: Any, shown: Any, plan: Any, *of_lanes: Any) -> None:
+    def _see(self, lane: int, gray: Any, tick_ns: int, sensor: Any, games: Any, now: Any, pixels: Any) -> None:
+        if not lanes.touched(lane, now):
+            game, time_s = now.game[lane], cpu.moment_ns(lane, now, tick_ns) * events.NS
+            cpu.see(lane, gray, time_s, pixels, sensor, games.cameras[game], games.seeds[game, lanes.EVENT_SEED])
+
+    def run_show(self, which: Any, kind: int, tick_ns: int, faces: Any, shown: Any, looks: Any, *of_lanes: Any) -> None:
         games, now, frames = of_lanes
         for lane in which:
             frames[lane] = 0
             if lanes.touched(lane, now):
                 continue
             if kind == COLOUR:
-                cpu.render_colour(lane, plan.appearance, games, now, tick_ns, self._scratch, SIZE, frames[lane])
+                cpu.render_colour(lane, looks, games, now, tick_ns, self._scratch, SIZE, frames[lane])
                 self._levels[lane] = self._scratch.channels.sum(axis=(1, 2))
             else:
-                cpu.render_depth(lane, plan.appearance, games, now, self._scratch, SIZE, frames[lane])
+                cpu.render_depth(lane, looks, games, now, self._scratch, SIZE, frames[lane])
 
-    def run_add_grey(self, which: Any, faces: Any, shown: Any, plan: Any, sums: Any) -> None:
-        for lane in which:
-            sums[lane, 0] = self._levels[lane]
-
-    def run_add_colours(self, which: Any, faces: Any, shown: Any, plan: Any, sums: Any) -> None:
+    def run_add_colours(self, which: Any, faces: Any, shown: Any, looks: Any, sums: Any) -> None:
         for lane in which:
             sums[lane] = self._levels[lane]
 
@@ -227,21 +176,18 @@ class Kernels:
 
     def run_cast_gray(self, which: Any, looks: Any, games: Any, now: Any, eyes: Any, gray: Any) -> None:
         for lane in which:
-            _paint(lane, looks, games, now, self._scratch, gray[lane])
+            paint(lane, looks, games, now, self._scratch, gray[lane])
 
-    def run_start_cast(self, which: Any, gray: Any, sensor: Any, games: Any, now: Any, pixels: Any) -> None:
+    def run_start_events(self, which: Any, gray: Any, sensor: Any, games: Any, now: Any, pixels: Any) -> None:
         for lane in which:
             cpu.add_camera_noise(lane, games, now, 1, gray[lane])
             cpu.start(lane, gray[lane], pixels, sensor, games.cameras[now.game[lane]])
 
-    def run_cast_events(self, which: Any, tick_ns: int, gray: Any, sensor: Any, *of_lanes: Any) -> None:
-        games, now, pixels, _ = of_lanes
-        for lane in which if sees(*of_lanes) else ():
-            if lanes.touched(lane, now):
-                continue
-            game, time_s = now.game[lane], cpu.moment_ns(lane, now, tick_ns) * events.NS
+    def run_see_gray(self, which: Any, tick_ns: int, gray: Any, sensor: Any, *of_lanes: Any) -> None:
+        games, now, pixels, rest = of_lanes
+        for lane in which if rest == () or not rest.counting else ():  # it counts beforehand
             cpu.add_camera_noise(lane, games, now, tick_ns, gray[lane])
-            cpu.see(lane, gray[lane], time_s, pixels, sensor, games.cameras[game], games.seeds[game, lanes.EVENT_SEED])
+            self._see(lane, gray[lane], tick_ns, sensor, games, now, pixels)
 
     def run_take_frames(self, which: Any, now: Any, pixels: Any, frames: Any) -> None:
         for lane in which:
@@ -252,7 +198,7 @@ class Kernels:
     def run_nothing(self, which: Any, *_: Any) -> None:
         """What draws, or sees, does."""
 
-    run_project = run_find = run_finish = run_look = run_nothing
+    run_find = run_finish = run_look = run_nothing
 
 
 def shared(tensor: th.Tensor, dtype: Any = None) -> Any:
@@ -289,7 +235,7 @@ def host_kernels(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """`CudaLanes` and `CudaBatch` on "cpu"."""
     module = ModuleType(NAME)
     functions = {"shared": shared, "on_device": on_device, "stream": lambda: None, "__getattr__": _size}
-    module.__dict__.update(functions, Plan=Plan, SideStream=Late, compiled=lambda nominal: Kernels())
+    module.__dict__.update(functions, SideStream=Late, compiled=lambda nominal: Kernels())
     monkeypatch.setitem(sys.modules, NAME, module)
     monkeypatch.setattr(uavaccel.kernels, "cuda", module, raising=False)
     monkeypatch.setattr(th.cuda, "Event", Immediate)

@@ -12,10 +12,10 @@ from typing import Any
 
 from tests.running import run_into
 from uavaccel.config import load_yaml, to_yaml, validate
+from uavaccel.envs.batch import LanesHere
 from uavaccel.records import RunDirectory
 from uavaccel.rl import lanes
 from uavaccel.rl.config import LearnerConfig
-from uavaccel.rl.lanes import LanesHere
 from uavaccel.suites import trainer
 from uavaccel.suites.evaluate import Evaluation
 from uavaccel.suites.experiment import Experiment
@@ -39,8 +39,8 @@ def train_into(out: Path, config: TrainConfig, resume: bool = False) -> dict[str
 
 def side_by_side(config: LearnerConfig, *_: Any) -> LanesHere:
     """As make_lanes, but in this process."""
-    keywords = {**config.task.model_dump(mode="json"), "report_host_times": True}
-    return LanesHere([lambda: config.environment_class(**keywords)] * config.environments)
+    keywords: dict[str, Any] = {**config.task.model_dump(mode="json"), "report_host_times": True}
+    return LanesHere(config.environment_class, config.environments, autoreset_mode="SameStep", **keywords)
 
 
 def fly_here(put: Callable[[Any, str, Any], None] = setattr) -> None:

@@ -8,8 +8,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from typer.testing import CliRunner
 
 from tests.web_pages import assert_sound
+from uavaccel.cli.main import app
 from uavaccel.records import RunDirectory
 from uavaccel.suites.experiment import Experiment
 from uavaccel.suites.report import Summary
@@ -36,6 +38,13 @@ def run_into(out: Path, suite: AnySuite, config: Experiment, resume: bool = Fals
 def configured(experiment: str, *overrides: str, **options: Any) -> Any:
     """The configuration of an experiment as the command line puts it together."""
     return configure(RunRequest(experiment, options, overrides))[1]
+
+
+def typed(line: str) -> str:
+    """What a command prints, called as its shell would."""
+    done = CliRunner().invoke(app, line.split(), catch_exceptions=False)
+    assert done.exit_code == 0, done.output
+    return done.output
 
 
 def full_device(path: Path) -> None:

@@ -1,10 +1,11 @@
-"""A real server in a thread, for tests that speak to it over a socket."""
+"""A real server in a thread, and clients for tests that speak to it over a socket."""
 
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
+from uavaccel.airsim import MultirotorClient
 from uavaccel.sim.profile import PROFILES
 from uavaccel.wire.api import Api
 from uavaccel.wire.server import Server
@@ -24,3 +25,13 @@ def running_server(clock_speed: float = 1.0, profile: str = "native", **api: Any
         assert thread.is_alive(), "the server has died"
         server.stop()
         thread.join()
+
+
+@contextmanager
+def client_of(port: int) -> Iterator[MultirotorClient]:
+    """A client that leaves at the end."""
+    client = MultirotorClient(port=port)
+    try:
+        yield client
+    finally:
+        client.client.close()

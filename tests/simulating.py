@@ -1,4 +1,4 @@
-"""A simulation to test on: one world of each profile, shared, so only one simulation of a profile at a time."""
+"""A simulation to test on, and a client of one: one world of each profile, shared, so only one at a time of each."""
 
 from __future__ import annotations
 
@@ -8,12 +8,17 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from uavaccel.clock import VirtualClock
 from uavaccel.kinematics import Quaternion, Vector, VelocityGoal
 from uavaccel.sim.flight import of_velocity
 from uavaccel.sim.poses import HERE, LEVEL
 from uavaccel.sim.profile import NATIVE, Profile
 from uavaccel.sim.simulation import DeferredReply, Simulation
 from uavaccel.sim.world import World
+from uavaccel.wire.api import Api
+from uavaccel.wire.latency import QUANTILES, ZERO_LATENCY, Latency, LatencyConfig
+from uavaccel.wire.session import Client
+from uavaccel.wire.transport import VirtualTransport, modelled_simulation
 
 NORTH, EAST = VelocityGoal((1.0, 0.0, 0.0)), VelocityGoal((0.0, 1.0, 0.0))
 
@@ -47,6 +52,27 @@ def simulate(clock_speed: float = 1.0, profile: Profile = NATIVE, **options: Any
     simulation.reset(0)
     simulation.lead.api_control = True
     return simulation
+
+
+def always(microseconds: float) -> tuple[float, ...]:
+    """Quantiles of a latency that is always the same."""
+    return (microseconds,) * len(QUANTILES)
+
+
+def start(
+    clock_speed: float = 1.0,
+    latency: LatencyConfig = ZERO_LATENCY,
+    seed: int = 0,
+    profile: Profile = NATIVE,
+    transport: type[VirtualTransport] = VirtualTransport,
+) -> Client:
+    """A game on a simulated wall clock, as a session starts one."""
+    world_of(profile).reset()
+    draws = Latency(latency, np.random.SeedSequence(seed))
+    simulation = modelled_simulation(world_of(profile), clock_speed, draws)
+    client = Client(transport(Api(simulation), VirtualClock(), draws), clock_speed)
+    client.start_game(clock_speed)
+    return client
 
 
 def fly_velocity(simulation: Simulation, goal: VelocityGoal, duration_s: float, wall_ns: int) -> DeferredReply:

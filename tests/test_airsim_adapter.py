@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.airsim_client import MultirotorClient, RPCError
-from tests.serving import running_server
+from tests.serving import client_of, running_server
+from uavaccel.airsim import MultirotorClient, RpcError
 from uavaccel.commands import COMMANDS, AirSimAdapter, MissionClient, tcsc
 from uavaccel.kinematics import Kinematics, VelocityGoal
 from uavaccel.wire.session import open_session
@@ -34,7 +34,7 @@ def test_tcsc_flies_as_through_our_own_client() -> None:
     with open_session("lockstep", "native", "blocks") as session:
         own = session.start_game(CLOCK_SPEED, np.random.SeedSequence(0))
         expected = [list(tcsc(own, goal, 1.0, 0.25)) for goal in (NORTH_AT_HEIGHT, EAST)]
-    with running_server(CLOCK_SPEED) as server, MultirotorClient(port=server.address[1]) as client:
+    with running_server(CLOCK_SPEED) as server, client_of(server.address[1]) as client:
         adapter: MissionClient = flying(client, CLOCK_SPEED)
         t_start = adapter.kinematics().time_ns
         flown = [list(tcsc(adapter, goal, 1.0, 0.25)) for goal in (NORTH_AT_HEIGHT, EAST)]
@@ -45,7 +45,7 @@ def test_tcsc_flies_as_through_our_own_client() -> None:
 
 
 def test_tcsc_reaches_its_end_where_continue_for_is_a_wall_timer() -> None:
-    with running_server(CLOCK_SPEED, "airsim") as server, MultirotorClient(port=server.address[1]) as client:
+    with running_server(CLOCK_SPEED, "airsim") as server, client_of(server.address[1]) as client:
         adapter = flying(client, CLOCK_SPEED)
         t_start = adapter.kinematics().time_ns
         states = list(tcsc(adapter, EAST, 1.0, 0.5))
@@ -55,7 +55,7 @@ def test_tcsc_reaches_its_end_where_continue_for_is_a_wall_timer() -> None:
 
 
 def test_adsc_samples_and_joins() -> None:
-    with running_server(CLOCK_SPEED) as server, MultirotorClient(port=server.address[1]) as client:
+    with running_server(CLOCK_SPEED) as server, client_of(server.address[1]) as client:
         adapter = flying(client, CLOCK_SPEED)
         t_start = adapter.kinematics().time_ns
         command = COMMANDS["adsc"]
@@ -70,9 +70,9 @@ def test_adsc_samples_and_joins() -> None:
 
 
 def test_a_refused_command_raises() -> None:
-    with running_server() as server, MultirotorClient(port=server.address[1]) as client:
+    with running_server() as server, client_of(server.address[1]) as client:
         adapter = AirSimAdapter(client, 1.0, vehicle_name="Nobody")
-        with pytest.raises(RPCError, match="Nobody"):
+        with pytest.raises(RpcError, match="Nobody"):
             adapter.join(adapter.move_async(EAST, 1.0))
 
 

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from tests.airsim_wire import AirSimWire, level_pose, xyz
+from tests.airsim_wire import AirSimWire, floats, pixels, xyz
+from tests.flying import pose
 from tests.scenes import BLOCKS, Pose, Seen, cast_from
 from uavaccel.wire import rpc
 from uavaccel.wire.pictures import Cameras, CameraSettings, id_of_name
@@ -56,15 +57,6 @@ def seen_from(mount: Any, vehicle: Pose = VEHICLE) -> Seen:
     return cast_from(eye, vehicle.matrix() @ turned(degrees), WIDE, columns, rows, fov_deg)
 
 
-def floats(response: dict[str, Any]) -> NDArray[np.float64]:
-    return np.array(response["image_data_float"]).reshape(response["height"], response["width"])
-
-
-def pixels(response: dict[str, Any]) -> NDArray[np.uint8]:
-    flat = np.frombuffer(response["image_data_uint8"], np.uint8)
-    return flat.reshape(response["height"], response["width"], 3)
-
-
 def test_optical_flow_is_empty_and_documented() -> None:
     wire = AirSimWire()
     for _ in range(2):
@@ -80,7 +72,7 @@ def test_optical_flow_is_empty_and_documented() -> None:
 @pytest.mark.parametrize("name", MOUNTS)
 def test_each_camera_sees_from_its_mount_through_its_lens(name: str) -> None:
     wire, mount = AirSimWire(SETTINGS), MOUNTS[name]
-    wire.call("simSetVehiclePose", VEHICLE.message(), True, "")
+    wire.move(VEHICLE)
     [response] = wire.images((name, PLANAR, True))
     assert (response["width"], response["height"]) == mount[2:4]
     seen, depth_m = seen_from(mount), floats(response)
@@ -102,7 +94,7 @@ def test_each_camera_sees_from_its_mount_through_its_lens(name: str) -> None:
 
 def test_an_external_camera_stands_in_the_world_and_sees_the_vehicle() -> None:
     wire = AirSimWire(SETTINGS)
-    wire.call("simSetVehiclePose", VEHICLE.message(), True, "")
+    wire.move(VEHICLE)
     request = {"camera_name": "mast", "image_type": PLANAR, "pixels_as_float": True}
     [response] = wire.call("simGetImages", [request], "", True)
     axes, eye = turned((0.0, -30.0, -45.0)), np.array([-5.0, 10.0, -20.0])
@@ -130,29 +122,14 @@ def test_what_a_camera_leaves_out_of_its_lens_is_of_the_defaults() -> None:
         assert Cameras(common, {"0": given}).named("front_center").lens(0) == lens
 
 
-def test_a_camera_is_turned_where_it_is_and_moved_as_it_is_turned() -> None:
-    wire, unknown = AirSimWire(), float("nan")
-    wire.call("simSetCameraPose", "0", Pose((0.2, 1.0, -0.3), (0.0, 0.0, 0.0)).message(), "", False)
-    turned, moved = (Pose((2.0, 3.0, -4.0), (0.0, 0.0, 90.0)).message() for _ in range(2))
-    turned["position"] = dict.fromkeys(turned["position"], unknown)
-    moved["orientation"] = dict.fromkeys(moved["orientation"], unknown)
-    for pose, place in ((turned, [0.2, 1.0, -10.3]), (moved, [2.0, 3.0, -14.0])):
-        wire.call("simSetCameraPose", "0", pose, "", False)
-        told = wire.call("simGetCameraInfo", "0", "", False)["pose"]
-        assert [told["position"][axis] for axis in ("x_val", "y_val", "z_val")] == pytest.approx(place, abs=1e-3)
-        assert [told["orientation"][axis] for axis in ("w_val", "z_val")] == pytest.approx([0.5**0.5] * 2, abs=1e-3)
-
-
 def test_a_camera_is_moved_and_zoomed_and_nan_changes_nothing() -> None:
     wire = AirSimWire()
-    wire.call("simSetVehiclePose", VEHICLE.message(), True, "")
-    pose = Pose((0.2, 1.0, -0.3), (5.0, -30.0, 60.0))
-    wire.call("simSetCameraPose", "0", pose.message(), "", False)
+    wire.move(VEHICLE)
+    mount = Pose((0.2, 1.0, -0.3), (5.0, -30.0, 60.0))
+    wire.call("simSetCameraPose", "0", mount.message(), "", False)
     wire.call("simSetCameraFov", "front_center", 50, "", False)
-    kept = level_pose(float("nan"), 0.0, 0.0)
-    kept["orientation"]["w_val"] = float("nan")
-    wire.call("simSetCameraPose", "fpv", kept, "", False)
-    seen = seen_from((pose.position_m, pose.degrees, 256, 144, 50))
+    wire.call("simSetCameraPose", "fpv", pose(float("nan"), 0.0, 0.0, w_val=float("nan")), "", False)
+    seen = seen_from((mount.position_m, mount.degrees, 256, 144, 50))
     planar, along, shares, colours = wire.images(
         ("0", PLANAR, True), ("", PERSPECTIVE, True), ("0", VIS, True), ("0", INFRARED, False)
     )
@@ -198,27 +175,21 @@ def test_what_cannot_be_drawn_is_refused_alone() -> None:
     assert first["camera_orientation"] == last["camera_orientation"]
 
 
-def test_images_that_are_too_much_for_an_answer_are_refused_in_words() -> None:
-    wire = AirSimWire({"CameraDefaults": {"CaptureSettings": [{"ImageType": SCENE, "Width": 2048, "Height": 2048}]}})
-    assert len(wire.images(*[("0", SCENE, False)] * 5)) == 5
-    with pytest.raises(rpc.RpcError, match="the answer would have more than 64 MiB: ask for less at once"):
-        wire.images(*[("0", SCENE, False)] * 6)
+def test_images_that_are_too_much_for_an_answer_are_refused_in_words(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each has 108 KiB of bytes, or 180 KiB of numbers."""
+    monkeypatch.setattr("uavaccel.wire.image_api.MAX_ANSWER_BYTES", 1 << 20)
+    for as_float, most in ((False, 9), (True, 5)):
+        assert len(AirSimWire().images(*[("0", SCENE, as_float)] * most)) == most
+        with pytest.raises(rpc.RpcError, match="the answer would have more than 1 MiB: ask for less at once"):
+            AirSimWire().images(*[("0", SCENE, as_float)] * (most + 1))
 
 
 def test_the_ground_goes_on_beyond_a_hundred_metres() -> None:
     wire = AirSimWire()
-    wire.call("simSetVehiclePose", level_pose(150.0, 20.0, -5.0), True, "")
+    wire.call("simSetVehiclePose", pose(150.0, 20.0, -5.0), True, "")
     [response] = wire.images(("0", PLANAR, True))
     rows = (np.arange(144) + 0.5 - 72) / 128
     below = rows > 5.0 / 900  # of the horizon, as far as the ground is drawn in whole pixels
     expected = np.broadcast_to((5.0 / rows[below])[:, None], (below.sum(), 256))
     np.testing.assert_allclose(floats(response)[below], expected, rtol=1e-2)
     assert (floats(response)[rows < 0] == SKY_M).all()
-
-
-def test_distortion_is_kept_and_told_and_said_to_be_without_effect() -> None:
-    wire = AirSimWire()
-    for _ in range(2):
-        wire.call("simSetDistortionParam", "0", "K2", 0.25, "", False)
-    assert wire.call("simGetDistortionParams", "0", "", False) == [0.0, 0.25, 0.0, 0.0, 0.0]
-    assert wire.said == ["simSetDistortionParam: accepted; pictures stay undistorted"]

@@ -16,7 +16,8 @@ import pytest
 
 from uavaccel import airsim
 from uavaccel.airsim import old_client, types, vehicle_client
-from uavaccel.airsim.connection import Future, plain
+from uavaccel.airsim.connection import plain
+from uavaccel.wire.rpc import Future
 
 TABLE = Path(__file__).parent / "data" / "airsim_client_calls.txt"
 DEFAULTS = {"RED": [1.0, 0.0, 0.0, 1.0], "FREE": 0, "STILL": {"is_rate": True, "yaw_or_rate": 0.0}}

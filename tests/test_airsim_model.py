@@ -10,15 +10,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.simulating import NORTH, answer, fly_velocity, go_to, position, simulate, world_of
+from tests.simulating import NORTH, always, answer, fly_velocity, go_to, position, simulate, start, world_of
 from tools import fit_agent, fit_airsim
-from uavaccel.clock import VirtualClock
 from uavaccel.commands import COMMANDS
 from uavaccel.resources import experiment
 from uavaccel.sim.profile import AIRSIM, NATIVE, Executor, Frames
 from uavaccel.sim.simulation import Simulation
 from uavaccel.suites import paper_results
-from uavaccel.wire.api import Api
 from uavaccel.wire.latency import (
     QUANTILES,
     FaultConfig,
@@ -29,30 +27,15 @@ from uavaccel.wire.latency import (
     shipped_latency,
 )
 from uavaccel.wire.session import Client, open_session
-from uavaccel.wire.transport import VirtualTransport
 
 US, MS = 1_000, 1_000_000
-
-
-def always(microseconds: float) -> tuple[float, ...]:
-    return (microseconds,) * len(QUANTILES)
 
 
 def new_client(clock_speed: float, **platform: Any) -> Client:
     """A game of the profile `airsim` in which a call takes 1 ms there and 1 ms back."""
     call = {"call": always(1000.0)}
     config = LatencyConfig(request_us=call, reply_us=call, platform=PlatformConfig(**platform))
-    draws = Latency(config, np.random.SeedSequence(0))
-    world_of(AIRSIM).reset()
-    simulation = Simulation(
-        world_of(AIRSIM),
-        clock_speed,
-        executor=config.platform.executor(),
-        frames=config.platform.new_frames(draws.frame_ns),
-    )
-    client = Client(VirtualTransport(Api(simulation), VirtualClock(), draws, exclusive=True))
-    client.start_game(clock_speed)
-    return client
+    return start(clock_speed, config, profile=AIRSIM)
 
 
 # --- ticks --------------------------------------------------------------------------------------------------
@@ -148,13 +131,6 @@ def test_faults_come_with_their_shares_and_their_delays() -> None:
     shares = {delay: float(np.mean(delays == delay * MS)) for delay in (200, 40, 7, 0)}
     assert sum(shares.values()) == 1
     assert shares == pytest.approx({200: 0.01, 40: 0.04, 7: 0.15, 0: 0.80}, abs=0.01)
-
-
-def test_every_message_is_delayed_by_a_fault_that_always_comes() -> None:
-    client = new_client(1.0, faults={"late": 1.0, "late_us": 3000.0})
-    start_ns = client.now_ns()
-    client.call("ping")
-    assert client.now_ns() - start_ns == (1 + 3 + 1 + 3) * MS
 
 
 # --- frames -------------------------------------------------------------------------------------------------

@@ -6,23 +6,22 @@ import re
 from collections.abc import Iterator
 from typing import Any
 
-import mujoco
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.airsim_wire import AirSimWire, level_pose, vector
-from uavaccel.resources import asset
+from tests.airsim_wire import AirSimWire
+from tests.flying import point, pose
 from uavaccel.sim.objects import SceneObjects, cast, matching
 from uavaccel.sim.profile import NATIVE
-from uavaccel.sim.scene import QUADROTOR, SPARES, airsim_spec, copy_objects, park_spares
+from uavaccel.sim.scene import QUADROTOR, SPARES
 from uavaccel.sim.world import World
 from uavaccel.wire import rpc
 from uavaccel.wire.pictures import colours
 
 NORTH = np.array([[1.0, 0.0, 0.0]])
-ONE = vector(1.0, 1.0, 1.0)
+ONE = point(1.0, 1.0, 1.0)
 BLOCK = "block_north"
 
 
@@ -41,7 +40,7 @@ def wire() -> Iterator[AirSimWire]:
 
 
 def spawn(wire: AirSimWire, name: str, asset: str, at: tuple[float, float, float], scale: Any = ONE) -> str:
-    told: str = wire.call("simSpawnObject", name, asset, level_pose(*at), scale, False, False)
+    told: str = wire.call("simSpawnObject", name, asset, pose(*at), scale, False, False)
     return told
 
 
@@ -71,22 +70,6 @@ def test_pictures_of_segmentation_have_the_colours_of_the_ids(wire: AirSimWire) 
     assert len(np.unique(colours(), axis=0)) == 256
     assert wire.call("simSetSegmentationObjectID", BLOCK, -1, False)
     assert middle() == [0, 0, 0]
-
-
-def test_objects_stay_what_they_are_in_a_model_with_more_vehicles(wire: AirSimWire) -> None:
-    """As a world makes a new model that has others attached."""
-    spawn(wire, "post", "Cylinder", (10.0, 0.0, -10.0), vector(1.0, 1.0, 30.0))
-    spec = airsim_spec(asset("mjcf/blocks.xml"))
-    other = mujoco.MjSpec.from_file(str(asset("mjcf/quadrotor.xml")))
-    spec.attach(other, frame=spec.worldbody.add_frame(pos=[0, 0, 50]), prefix="Other/")
-    new = spec.compile()
-    park_spares(new)
-    copy_objects(wire.world.model, new)
-    data = mujoco.MjData(new)
-    assert cast(new, data, (0.0, 0.0, -10.0), NORTH, exclude=QUADROTOR).distance_m[0] == pytest.approx(9.5)
-    data.qpos[:3] = 9.4, 0.0, 10.0
-    mujoco.mj_forward(new, data)
-    assert data.ncon > 0
 
 
 def test_the_scene_fits_airsims_scripts() -> None:

@@ -32,7 +32,7 @@ from uavaccel.wire import rpc
 from uavaccel.wire.api import CALLS
 from uavaccel.wire.types import EPOCH_NS
 
-HOME = {"latitude": 47.641468, "longitude": -122.140165, "altitude": 122.0}
+HOME = GeoPoint(47.641468, -122.140165, 122.0)
 QUIET = {"UncorrelatedNoiseSigma": 0.0}
 LIDAR = {"SensorType": 6, "NumberOfChannels": 8, "PointsPerSecond": 8000, "Range": 60.0}
 SENSORS = {
@@ -51,10 +51,15 @@ def with_sensors(**sensors: Any) -> AirSimWire:
     return AirSimWire({"Vehicles": {"Drone": {"Sensors": sensors or SENSORS}}})
 
 
+def hover_at(time_s: float, tick_s: float = 0.002, since_reset_s: float = 0.0) -> Truth:
+    hover = Kinematics(round(time_s * 1e9), (0, 0, 0), (1, 0, 0, 0), *[(0.0, 0.0, 0.0)] * 4)
+    return Truth(hover, tick_s, since_reset_s, HOME)
+
+
 def test_a_tilted_imu_feels_the_force_along_its_own_axes() -> None:
     silent = dict.fromkeys(("AngularRandomWalk", "GyroBiasStability", "VelocityRandomWalk", "AccelBiasStability"), 0.0)
     wire = with_sensors(Imu={"SensorType": 2} | silent)
-    wire.call("simSetVehiclePose", TILTED.message(), True, "")
+    wire.move(TILTED)
     wire.fly(0.1)
     true, told = wire.call("simGetGroundTruthKinematics", ""), wire.call("getImuData", "", "")
     w, x, y, z = true["orientation"].values()
@@ -93,7 +98,7 @@ def test_the_air_and_the_field_are_those_of_the_place() -> None:
         Quiet={"SensorType": 1, "PressureFactorSigma": 0.0, **QUIET},
         Field={"SensorType": 4, "NoiseSigma": 0.0, "ScaleFactor": 2.0},
     )
-    wire.call("simSetVehiclePose", TILTED.message(), True, "")
+    wire.move(TILTED)
     altitude = 122.0 + 9.0
     told = wire.call("getBarometerData", "Quiet", "")
     geopotential = 6_378_137 * altitude / (6_378_137 + altitude)
@@ -134,17 +139,17 @@ def test_a_gps_converges_and_is_as_late_in_velocity_as_in_place() -> None:
 
 def test_a_receiver_is_no_later_than_the_last_reset() -> None:
     """5 m/s north, and 1 m/s² faster each second."""
-    home, still = GeoPoint(*HOME.values()), (0.0, 0.0, 0.0)
+    still = (0.0, 0.0, 0.0)
     now = Kinematics(10**9, still, (1, 0, 0, 0), (5.0, 0.0, 0.0), still, (1.0, 0.0, 0.0), still)
     for since_reset_s, ago_s in ((0.0, 0.0), (0.05, 0.05), (0.3, 0.2)):
-        read = Gps(GpsSettings(), 0, "gps").read(Truth(now, 0.002, since_reset_s, home))
-        assert local(read.place, home)[0] == pytest.approx(-5.0 * ago_s + ago_s**2 / 2, abs=1e-6)
+        read = Gps(GpsSettings(), 0, "gps").read(Truth(now, 0.002, since_reset_s, HOME))
+        assert local(read.place, HOME)[0] == pytest.approx(-5.0 * ago_s + ago_s**2 / 2, abs=1e-6)
         assert read.velocity_m_s[0] == pytest.approx(5.0 - ago_s)
 
 
 def test_a_lidar_scans_its_channels_in_its_frame() -> None:
     wire = with_sensors()
-    wire.call("simSetVehiclePose", TILTED.message(), True, "")
+    wire.move(TILTED)
     told = wire.call("getLidarData", "Lidar", "")
     points = np.array(told["point_cloud"]).reshape(-1, 3)
     assert 300 < len(points) == len(told["segmentation"]) <= 800
@@ -229,9 +234,7 @@ def test_an_imus_biases_walk_as_far_as_their_settings_say() -> None:
     silent = {"AngularRandomWalk": 0.0, "VelocityRandomWalk": 0.0}
     taus = {"GyroBiasStabilityTau": 4.0, "AccelBiasStabilityTau": 16.0}
     settings = ImuSettings(**silent, **taus, GyroBiasStability=3600.0, AccelBiasStability=1e6)
-    hover = Kinematics(10**9, (0, 0, 0), (1, 0, 0, 0), *[(0.0, 0.0, 0.0)] * 4)
-    truth = Truth(hover, 0.002, 1.0, GeoPoint(*HOME.values()))
-    read = [Imu(settings, seed, "imu").read(truth) for seed in range(400)]
+    read = [Imu(settings, seed, "imu").read(hover_at(1.0, since_reset_s=1.0)) for seed in range(400)]
     rate, force = (np.array(each) for each in zip(*read, strict=True))
     np.testing.assert_allclose(rate.std(axis=0), math.radians(0.5), rtol=0.12)
     np.testing.assert_allclose((force + np.array([0.0, 0.0, 9.80665])).std(axis=0), 9.80665 / 4, rtol=0.12)
@@ -285,11 +288,9 @@ def test_magnetometers_of_one_vehicle_have_biases_of_their_own() -> None:
 
 
 def test_a_magnetometers_bias_is_uniform_within_its_bound() -> None:
-    level = Kinematics(0, (0, 0, 0), (1, 0, 0, 0), *[(0.0, 0.0, 0.0)] * 4)
-    truth = Truth(level, 0.002, 0.0, GeoPoint(*HOME.values()))
     keys = {"NoiseSigma": 0.0, "ScaleFactor": 3.0, "NoiseBias": 0.3}
-    read = [Magnetometer(MagnetometerSettings(**keys), seed, "field").read(truth) for seed in range(400)]
-    bias = np.array(read) - 3.0 * np.array(magnetic_field_gauss(truth.home))
+    read = [Magnetometer(MagnetometerSettings(**keys), seed, "field").read(hover_at(0.0)) for seed in range(400)]
+    bias = np.array(read) - 3.0 * np.array(magnetic_field_gauss(HOME))
     assert (np.abs(bias) <= 0.3).all()
     np.testing.assert_allclose(bias.mean(axis=0), 0.0, atol=0.03)
     np.testing.assert_allclose(bias.std(axis=0), 0.3 / math.sqrt(3), rtol=0.1)
@@ -314,11 +315,6 @@ def test_noise_has_the_size_of_its_setting() -> None:
     sizes = np.array([50.0, 0.02, 0.02, 0.02, 0.5])
     np.testing.assert_allclose(np.std(errors, axis=0), sizes, rtol=0.2)
     np.testing.assert_allclose(np.mean(errors, axis=0) / sizes, 0.0, atol=0.3)
-
-
-def hover_at(time_s: float, tick_s: float = 0.002, since_reset_s: float = 0.0) -> Truth:
-    hover = Kinematics(round(time_s * 1e9), (0, 0, 0), (1, 0, 0, 0), *[(0.0, 0.0, 0.0)] * 4)
-    return Truth(hover, tick_s, since_reset_s, GeoPoint(*HOME.values()))
 
 
 @pytest.mark.parametrize("tick_s", [0.001, 0.002, 0.003])

@@ -12,13 +12,12 @@ from types import ModuleType, SimpleNamespace
 from typing import Any
 
 import pytest
-from typer.testing import CliRunner
 
 import benchmarks.__main__ as bench
 from benchmarks import batch, images, speed
 from benchmarks.speed import Measurement
 from tests.opengl import needs_opengl
-from uavaccel.cli.main import app
+from tests.running import typed
 from uavaccel.envs.obstacle_lane import ObstacleLane
 from uavaccel.errors import UserError
 from uavaccel.wire.session import VirtualSession
@@ -60,10 +59,8 @@ def test_benches_run_in_order_and_one_that_cannot_is_left_out(given: Callable[..
             raise UserError("no card")
         yield Measurement(name, 1234.5, "per s", None if how else 2000.0, "noted")
 
-    def typed(line: str) -> list[str]:
-        done = CliRunner().invoke(app, line.split(), catch_exceptions=False)
-        assert done.exit_code == 0, done.output
-        return [" ".join(words.split()) for words in done.output.splitlines()[1:]]
+    def told(line: str) -> list[str]:
+        return [" ".join(words.split()) for words in typed(line).splitlines()[1:]]
 
     known = {"first": lambda: measured("first"), "broken": lambda: measured("broken"), "batch": None}
     given(bench, BENCHES=known, check_machine=lambda: {"verdict": "noisy"})
@@ -71,7 +68,7 @@ def test_benches_run_in_order_and_one_that_cannot_is_left_out(given: Callable[..
     given(speed, bench_soak=lambda seconds: measured("soak", seconds))
     out, line = tmp_path / "bench.json", "first 1,234.50 per s of 2,000.00 noted"
     options = f"--out {out} --lanes 4 --lanes 16 --processes 2"
-    assert typed(f"bench batch first {options}")[-1] == line
+    assert told(f"bench batch first {options}")[-1] == line
     assert ran == [("batch", [4, 16], 2), ("first",)]
     kept = json.loads(out.read_text())
     assert [each["name"] for each in kept["measurements"]] == ["batch", "first"]
@@ -81,7 +78,7 @@ def test_benches_run_in_order_and_one_that_cannot_is_left_out(given: Callable[..
     assert kept["manifest"]["command_line"] == ["bench", "batch", "first"]
     ran.clear()
     both = ["batch 1,234.50 per s noted", "soak 1,234.50 per s noted"]
-    assert typed("bench --soak-s 2.5") == [line, "left out: no card", *both]
+    assert told("bench --soak-s 2.5") == [line, "left out: no card", *both]
     assert ran == [("first",), ("broken",), ("batch", [8], None), ("soak", 2.5)]
 
 

@@ -14,10 +14,9 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
-from typer.testing import CliRunner
 
 from tests.golden import assert_as_recorded
-from tests.running import configured
+from tests.running import configured, typed
 from tools.check_numbers import ROOT
 from tools.fit_gap_law import PREDICTED, fit, judged
 from uavaccel.calibration import calibrate, doctor
@@ -34,19 +33,11 @@ from uavaccel.calibration.calibrate import (
     record_trace,
     sentence,
 )
-from uavaccel.cli.main import app
 from uavaccel.commands import COMMANDS
 from uavaccel.errors import UserError
 from uavaccel.metrics.trajectory import trajectory
 from uavaccel.wire.latency import QUANTILES, ZERO_LATENCY, LatencyConfig, read_latency, shipped_latency
 from uavaccel.wire.session import VirtualSession
-
-
-def printed(line: str) -> str:
-    """What a command prints."""
-    done = CliRunner().invoke(app, line.split(), catch_exceptions=False)
-    assert done.exit_code == 0, done.output
-    return done.output
 
 
 def latency_of(folder: Path) -> Path:
@@ -106,7 +97,7 @@ def test_the_doctor_marks_and_counts_what_is_to_be_looked_at(monkeypatch: pytest
         for name, result in (("describe_run", run), ("check_machine", found)):
             monkeypatch.setattr(doctor, name, lambda *_, result=result: result)
         monkeypatch.setattr(doctor, "probe", probe)
-        said.append(printed("doctor"))
+        said.append(typed("doctor"))
     assert_as_recorded("doctor", "\n".join(said))
 
 
@@ -159,7 +150,7 @@ def test_a_calibration_is_a_latency_model_with_its_medians_told(
     monkeypatch.setattr(calibrate, "measure", measure)
     monkeypatch.setattr(doctor, "check_machine", lambda: NOISY)
     monkeypatch.setattr("uavaccel.sim.camera.gl.describe_renderer", draws_nothing)
-    said = printed(f"timing calibrate --out {(file := tmp_path / 'latency.yaml')} --commands 70 --profile airsim")
+    said = typed(f"timing calibrate --out {(file := tmp_path / 'latency.yaml')} --commands 70 --profile airsim")
     key = said.split()[-1].strip("`")  # which train and evaluate know
     assert key == f"task.latency={file}"
     airsims = configured("train", "task.timing=virtual", "task.profile=airsim", key).task.latency
@@ -303,7 +294,7 @@ def test_agreements_are_told_one_by_one(monkeypatch: pytest.MonkeyPatch) -> None
             yield Agreement("tcsc", 100.0, 0.33, "error, m", runs, runs, runs)
 
     monkeypatch.setattr(calibrate, "check_agreement", agreements)
-    table = printed("timing calibrate --check").splitlines()[1:]
+    table = typed("timing calibrate --check").splitlines()[1:]
     assert max(map(len, table)) <= 80
     assert before == [0, 1]
 
@@ -330,7 +321,7 @@ def test_each_game_is_flown_measured_modelled_and_measured_again(
     monkeypatch.setattr(calibrate, "VirtualSession", virtual)
     monkeypatch.setattr(doctor, "check_machine", lambda: QUIET)
     monkeypatch.setattr(calibrate, "fly_square", fly)
-    said = printed(f"timing calibrate --check --games 2 --latency {latency_of(tmp_path)}")
+    said = typed(f"timing calibrate --check --games 2 --latency {latency_of(tmp_path)}")
     assert models == [read_latency(tmp_path / "latency.yaml")]
     assert asked == ["wall", "model", "wall", "wall", "model", "wall", "ideal"] * 8
     assert max(map(len, said.splitlines()[1:])) <= 80
@@ -436,7 +427,7 @@ def test_advice_is_of_the_profiles_latencies_or_ones_own(monkeypatch: pytest.Mon
         ("", "native", shipped_latency("native")),
         (f"--latency {own}", "native", read_latency(own)),
     ):
-        said = printed(f"timing advise --t-move 0.5 --error 0.1 --rounds 3 --profile {profile} {option}")
+        said = typed(f"timing advise --t-move 0.5 --error 0.1 --rounds 3 --profile {profile} {option}")
         assert asked[-1] == (model, profile, 0.5, 3)
         assert_as_recorded("advise", said)
 

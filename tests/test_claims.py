@@ -13,12 +13,13 @@ from scipy.stats import hypergeom
 
 from uavaccel.draw.page import fill
 from uavaccel.envs.stopwatch import PHASES
-from uavaccel.metrics.intervals import fisher_exact_p
+from uavaccel.metrics.intervals import Proportion, fisher_exact_p
 from uavaccel.suites import claims
-from uavaccel.suites.claims import Trainings, training_phases
+from uavaccel.suites.claims import training_phases
 from uavaccel.suites.dp1 import CELL
 from uavaccel.suites.paper import HOURS, PaperConfig, at_the_papers_n, read_claims, verdict, whole_hours
 from uavaccel.suites.parts import Part
+from uavaccel.suites.rl import OTHER
 
 CLOCKS = (1.0, 5.0, 10.0, 50.0, 100.0)
 CLAIMS = {
@@ -111,35 +112,33 @@ def trained(
     off_rows_m: float = 0.5,
     apart: float = 0.0,
     **changes: float,
-) -> Trainings:
+) -> pd.DataFrame:
     """The paper's Table I with more games, or whatever `changes` says of a cell; `games` and `trained` of each seed.
 
     `scatter`: how far the seeds' ratios lie from their mean, at 1x and above in turn; `thinking`: seconds of a command
     beyond a simulation of 1 s at 1x; `off_rows_m`: how far from a row of obstacles games end;
     `apart`: how far the seeds lie from each other when they fly with ADSC.
     """
-    cells: list[dict[str, Any]] = []
+    flights: list[dict[str, Any]] = []
     for (command, successes), (number, k), seed in product(PAPER_TABLE.items(), enumerate(CLOCKS), range(seeds)):
-        ratio = changes.get(f"{command}{k:g}", successes[number] / 100) + scatter * (seed - (seeds - 1) / 2)
+        aside, own = seed - (seeds - 1) / 2, changes.get(f"{command}{k:g}", successes[number] / 100)
         simulation_s = 1 / (changes.get(f"speed{k:g}", SPEEDUPS[k]) if command == "tcsc" else 1)
-        times = dict(zip(PHASES, (simulation_s - 0.01, 0.01, thinking, 0.0, 0.0), strict=True))
-        cell = {"command": command, "clock_speed": k, "games": games, "trained_games": trained, "commands": 100}
-        cell |= {"successes": round(min(max(ratio, 0.0), 1.0) * games)}
-        cells.append({**cell, "phase_s": {phase: 100 * time for phase, time in times.items()}})
-    with_both = [
-        {"command": "tcsc", "clock_speed": 1.0, "flown_with": command, "games": games}
-        | {"successes": round((changes.get(f"with_{command}", 0.2) + apart * (seed - (seeds - 1) / 2)) * games)}
-        for (command, apart), seed in product((("tcsc", 0.0), ("adsc", apart)), range(seeds))
-    ]
-    lost = [{"command": "tcsc", "clock_speed": k, "ended_m": row - off_rows_m} for k in CLOCKS for row in ROWS_M] * 20
-    return Trainings(*map(pd.DataFrame, (cells, with_both, lost)))
+        times = (100 * (simulation_s - 0.01), 1.0, 100 * thinking, 0.0, 0.0)
+        ended_m = np.tile(ROWS_M - off_rows_m, 20 if seed == 0 else 0)
+        cell = {"command": command, "clock_speed": k, "seed": seed, "trained_games": trained, "commands": 100}
+        cell |= dict(zip(PHASES, times, strict=True)) | {"won": pd.Series(ended_m < 0), "distance_m": ended_m}
+        flights.append({**cell, "flight": 0, "with": command, "success": won(own + scatter * aside, games)})
+        if (command, k) == ("tcsc", 1.0):
+            other = won(changes.get("with_adsc", 0.2) + apart * aside, games)
+            flights.append({**cell, "flight": 1, "with": "adsc", "success": other})
+    return pd.DataFrame(flights)
 
 
-NONE = {
-    "dp1": dp1_report([]),
-    "dp2": dp2_report([], None),
-    "rl": Trainings(pd.DataFrame(), pd.DataFrame(), pd.DataFrame()),
-}
+def won(share: float, games: int) -> Proportion:
+    return Proportion(round(min(max(share, 0.0), 1.0) * games), games)
+
+
+NONE = {"dp1": dp1_report([]), "dp2": dp2_report([], None), "rl": pd.DataFrame()}
 
 
 def evidence(dp1: Change | None = None, dp2: Any = None, rl: Any = None) -> dict[str, Any]:
@@ -152,18 +151,18 @@ def evidence(dp1: Change | None = None, dp2: Any = None, rl: Any = None) -> dict
 
 
 def all_are(value: float) -> dict[str, Any]:
-    """Runs all of whose measured numbers are the same."""
+    """Runs all of whose measured numbers are the same; of a training none is NaN, as its rows are checked."""
     rl = trained()
-    phases = [dict.fromkeys(PHASES, value)] * len(rl.cells)
-    cells = rl.cells.assign(successes=value, phase_s=phases, commands=value)
-    rl = Trainings(cells, rl.interchange.assign(successes=value), rl.lost.assign(ended_m=value))
+    if not np.isnan(value):
+        same = dict.fromkeys((*PHASES, "commands"), value) | {"distance_m": rl.distance_m * value}
+        rl = rl.assign(**same, success=[won(value, 1000)] * len(rl))
     stlc = {"stlc": [value] * GAMES, "command_gap_median_s": value}
     speedup = {"effective_speedup": value, "effective_speedup_interval": [value] * 2}
     names: dict[str, Any] = dict.fromkeys(("k5", "k10", "k50", "k100"), (value, value))
     return {
         "dp1": trajectories(lambda cell: cell.update(stlc, **speedup)),
         "dp2": images((value, value, 400), **names),
-        "rl": rl,
+        "rl": NONE["rl"] if np.isnan(value) else rl,
     }
 
 
@@ -258,7 +257,7 @@ TABLE: dict[str, tuple[list[dict[str, Any]], list[dict[str, Any]]]] = {
     "tcsc_loses_at_50x": ([rl(tcsc50=0.3)], [N100, NOBODY_FLIES]),
     "tcsc_improves_at_5x": ([rl(tcsc5=0.21), rl(tcsc5=0.15)], [N100, NOBODY_FLIES, rl(tcsc1=0.95, tcsc5=0.99)]),
     "commands_interchange_at_1x": ([rl(adsc1=0.4)], [N100, NOBODY_FLIES, scattered(0.2)]),
-    "policy_flies_with_both": ([rl(with_adsc=0.1)], [N100, rl(with_tcsc=0.0, with_adsc=0.0), rl(apart=0.1)]),
+    "policy_flies_with_both": ([rl(with_adsc=0.1)], [N100, rl(tcsc1=0.0, with_adsc=0.0), rl(apart=0.1)]),
     "adsc_fails_accelerated": ([rl(adsc50=0.15)], [rl(adsc50=0.07), NOBODY_FLIES]),
     "lines_peak_at_obstacles": ([rl(off_rows_m=5.0), rl(off_rows_m=1.01)], []),
     "training_speedup_5x": ([rl(speed5=3.0), rl(speed5=40.0)], []),
@@ -360,17 +359,10 @@ def test_games_that_failed_decide_nothing() -> None:
 
 def test_policies_that_fly_twice_are_compared_each_with_itself() -> None:
     """They differ among each other by more than the margins."""
-    wins, flown_with = range(16, 48, 4), ("tcsc", "adsc")
-    rows = [{"flown_with": name, "successes": n, "won": np.arange(100) < n} for name in flown_with for n in wins]
-    flown = pd.DataFrame(rows).assign(command="tcsc", clock_speed=1.0, games=100)
-    runs = {"rl": trained()._replace(interchange=flown)}
-    assert verdict(CLAIMS["policy_flies_with_both"], runs)["verdict"] == "holds"
-    assert (
-        verdict(CLAIMS["policy_flies_with_both"], {"rl": runs["rl"]._replace(interchange=flown.drop(columns="won"))})[
-            "verdict"
-        ]
-        == "undecided"
-    )
+    flights = [(name, Proportion(n, 100), pd.Series(np.arange(100) < n)) for name in OTHER for n in range(16, 48, 4)]
+    flown = pd.DataFrame(flights, columns=["with", "success", "won"]).assign(command="tcsc", clock_speed=1.0)
+    for lanes, word in ((flown.won, "holds"), (None, "undecided")):
+        assert verdict(CLAIMS["policy_flies_with_both"], {"rl": flown.assign(won=lanes)})["verdict"] == word
 
 
 def test_of_one_place_all_images_are_alike() -> None:
@@ -382,8 +374,7 @@ def test_of_one_place_all_images_are_alike() -> None:
 def test_a_baseline_that_was_not_trained_leaves_a_speed_up_pending() -> None:
     """The paper's is ADSC at 1x: TCSC at 1x does not stand in for it."""
     whole = trained()
-    cells = whole.cells[(whole.cells.command != "adsc") | (whole.cells.clock_speed != 1.0)]
-    lacking = whole._replace(cells=cells)
+    lacking = whole[(whole.command != "adsc") | (whole.clock_speed != 1.0)]
     assert verdict(CLAIMS["training_speedup_5x"], {"rl": lacking}) == {"value": "", "verdict": "pending"}
     assert training_phases(lacking) == training_phases(trained(trained=6)) == training_phases(NONE["rl"]) == []
 

@@ -17,13 +17,12 @@ from typing import Annotated, Any, Literal, get_args, get_origin
 import pytest
 from pydantic import BaseModel
 from rich.console import Console
-from typer.testing import CliRunner
 
 from tests.golden import assert_as_recorded
+from tests.running import typed
 from tools.write_cli_reference import reference
 from uavaccel import __version__
 from uavaccel.cli import experiments, terminal
-from uavaccel.cli.main import app
 from uavaccel.cli.options import one_of, shipped
 from uavaccel.cli.terminal import columns_within
 from uavaccel.draw.page import Table
@@ -43,13 +42,6 @@ def uavaccel(*arguments: str, **options: Any) -> "subprocess.CompletedProcess[st
     environment = {**os.environ, **options.pop("env", {})}
     options = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, **options}
     return subprocess.run([sys.executable, *arguments], cwd=ROOT, env=environment, text=True, check=False, **options)
-
-
-def typed(line: str) -> str:
-    """What a command prints, called as its shell would."""
-    done = CliRunner().invoke(app, line.split(), catch_exceptions=False)
-    assert done.exit_code == 0, done.output
-    return done.output
 
 
 # --- the shell --------------------------------------------------------------------------------------------------------
@@ -134,6 +126,11 @@ def test_what_is_complained_of_to_nobody_is_not_printed_elsewhere() -> None:
         ("run dp1 --clock 0", "--clock: clock_speed.0 = 0.0: should be greater than or equal to 0.001"),
         ("train --seeds 0", "--seeds: seeds = 0: should be greater than or equal to 1"),
         ("train --set task.clock_sped=2", "--set: unknown key 'task.clock_sped'; did you mean 'clock_speed'?"),
+        ("train --set task.t_move_s=1.001",
+         "--set: t_move_s: 1.001 s is not a positive multiple of the physics step of 2 ms; 1 and 1.002 s are"),
+        ("train --set task.history=2 --clock 2 --set task.t_move_s=1.001",
+         "--set: t_move_s: 1.001 s is not a positive multiple of the physics step of 2 ms; 1 and 1.002 s are"),
+        ("run dp1 --set clock_speed.0=5", "--set: clock_speed = [5, 5, 10, 50, 100]: has 5 twice"),
         ("run --report runs/a --jobs 1 --set a=1",
          "--report: flies nothing; beside run directories it takes --trust alone, not --jobs"),
     ],

@@ -9,31 +9,24 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.simulating import world_of
-from uavaccel.clock import VirtualClock
+from tests.flying import pose
+from tests.simulating import NORTH, always, start
 from uavaccel.errors import UserError
 from uavaccel.kinematics import VelocityGoal
-from uavaccel.sim.profile import NATIVE
-from uavaccel.sim.simulation import Simulation
 from uavaccel.wire import rpc
-from uavaccel.wire.api import Api
-from uavaccel.wire.latency import QUANTILES, ZERO_LATENCY, Latency, LatencyConfig
+from uavaccel.wire.latency import QUANTILES, LatencyConfig
 from uavaccel.wire.session import Client, VirtualSession, open_session
 from uavaccel.wire.transport import VirtualTransport
 
 MS = 1_000_000
-NORTH = VelocityGoal((1.0, 0.0, 0.0))
 
 
 class LoggingTransport(VirtualTransport):
     """A virtual transport that notes what is sent: method, parameters, blocking, coalesced."""
 
-    def __init__(self, exclusive: bool) -> None:
-        world_of(NATIVE).reset()
-        simulation = Simulation(world_of(NATIVE))
+    def __init__(self, *inner: Any) -> None:
+        super().__init__(*inner)
         self.sent: list[tuple[Any, ...]] = []
-        draws = Latency(ZERO_LATENCY, np.random.SeedSequence(0))
-        super().__init__(Api(simulation, render=False), VirtualClock(), draws, exclusive)
 
     def send(self, method: str, params: Sequence[Any], blocking: bool, coalesced: bool = False) -> Any:
         self.sent.append((method, tuple(params), blocking, coalesced))
@@ -46,12 +39,11 @@ class LoggingTransport(VirtualTransport):
         return methods
 
 
-def new_client(exclusive: bool = True, clock_speed: float = 1.0) -> tuple[Client, LoggingTransport]:
-    transport = LoggingTransport(exclusive)
-    client = Client(transport)
-    client.start_game(clock_speed)
-    transport.sent.clear()
-    return client, transport
+def new_client(clock_speed: float = 1.0) -> tuple[Client, LoggingTransport]:
+    client = start(clock_speed, transport=LoggingTransport)
+    assert isinstance(client.transport, LoggingTransport)
+    client.transport.sent.clear()
+    return client, client.transport
 
 
 # --- the known state ----------------------------------------------------------------------------------------
@@ -88,12 +80,6 @@ def test_a_known_state_saves_messages() -> None:
     ]
 
 
-POSE = {
-    "position": dict.fromkeys(("x_val", "y_val", "z_val"), -5.0),
-    "orientation": {"w_val": 1.0, "x_val": 0.0, "y_val": 0.0, "z_val": 0.0},
-}
-
-
 @pytest.mark.parametrize("call", [
     ("simPause", False),
     ("simPause", True),
@@ -101,7 +87,7 @@ POSE = {
     ("uavaccelStartGame", 1.0),
     ("simContinueForTime", 0.1),
     ("uavaccelContinueFor", 2 * MS),
-    ("simSetVehiclePose", POSE, True),
+    ("simSetVehiclePose", pose(-5.0, -5.0, -5.0), True),
 ])  # fmt: skip
 def test_what_may_change_the_state_makes_it_unknown(call: tuple[Any, ...]) -> None:
     client, transport = new_client()
@@ -115,18 +101,6 @@ def test_what_may_change_the_state_makes_it_unknown(call: tuple[Any, ...]) -> No
     with pytest.raises(rpc.RpcError):
         client.call("uavaccelNobodyKnows")  # it may be one of a server that is newer than its client
     assert transport.known.state is None
-
-
-def test_nothing_is_known_where_others_may_fly_too() -> None:
-    client, transport = new_client(exclusive=False)
-    client.continue_for(100 * MS)
-    client.kinematics()
-    client.move_async(NORTH, 1.0)
-    assert [(method, coalesced) for method, _, _, coalesced in transport.sent] == [
-        ("uavaccelContinueFor", False),
-        ("uavaccelState", False),
-        ("moveByVelocity", False),
-    ]
 
 
 # --- what is sent -------------------------------------------------------------------------------------------
@@ -150,14 +124,6 @@ def test_the_client_expects_its_answers_when_they_are_due() -> None:
     now_ns = client.now_ns()
     assert client.move_async(NORTH, 1.0).expected_ns == now_ns + 50 * MS
     assert client.clock_speed == 20.0
-
-
-def test_a_game_starts_where_and_as_fast_as_asked() -> None:
-    client, transport = new_client()
-    state = client.start_game(2.0, -3.5)
-    assert transport.sent == [("uavaccelStartGame", (2.0, -3.5), True, False)]
-    assert (state.position_m, state.linear_velocity_m_s) == ((0.0, 0.0, -3.5), (0.0, 0.0, 0.0))
-    assert client.speed()["clock_speed"] == 2.0
 
 
 def test_a_recording_arrives_as_it_was_made() -> None:
@@ -186,7 +152,7 @@ def test_a_trace_is_told_once_and_only_while_switched_on() -> None:
 # --- sessions ---------------------------------------------------------------------------------------------------------
 
 
-SLOW = LatencyConfig(request_us={"call": (1000.0,) * len(QUANTILES)}, reply_us={"call": (500.0,) * len(QUANTILES)})
+SLOW = LatencyConfig(request_us={"call": always(1000.0)}, reply_us={"call": always(500.0)})
 DRAWN = LatencyConfig(request_us={"call": tuple(100.0 * (1 + n) for n in range(len(QUANTILES)))})
 
 
@@ -220,7 +186,6 @@ def test_a_game_has_its_height_speed_and_connection() -> None:
     with VirtualSession("blocks", "native") as session:
         client = session.start_game(5.0, height_m=-3.0)
         assert client.clock_speed == client.speed()["clock_speed"] == 5.0
-        assert client.transport.known.exclusive
         state = client.kinematics()
         assert (state.time_ns, state.position_m) == (0, (0.0, 0.0, -3.0))
         client.move_async(VelocityGoal((1.0, 0.0, 0.0)), 1.0)
@@ -229,13 +194,6 @@ def test_a_game_has_its_height_speed_and_connection() -> None:
         again = session.start_game(1.0)
         assert len(again.recording().commands) == 0
         assert again.kinematics().position_m == (0.0, 0.0, -10.0)
-
-
-def test_airsims_timers_are_late_in_virtual() -> None:
-    late = LatencyConfig(timer_us=(3000.0,) * len(QUANTILES))
-    with VirtualSession("blocks", "airsim", late) as session:
-        client = session.start_game(1.0)
-        assert client.continue_for(30 * MS).time_ns == 33 * MS
 
 
 def test_a_lane_is_laid_out_before_the_game() -> None:

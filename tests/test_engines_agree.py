@@ -34,7 +34,7 @@ from uavaccel.envs.simulators import CUDA, check_flyable
 from uavaccel.errors import UserError
 from uavaccel.kernels import timeline as wire
 from uavaccel.kernels.appearance import empty_scenes, fill_scenes, read_appearance
-from uavaccel.kernels.pictures import render_colour, render_depth, render_gray
+from uavaccel.kernels.pictures import render_lanes
 from uavaccel.resources import asset
 from uavaccel.sim.camera import gl
 from uavaccel.sim.world import World
@@ -421,13 +421,14 @@ def kernels_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
             self.scenes = vars(world)["scenes"]
 
         def __getattr__(self, name: str) -> Any:
-            render: Any = {"gray": render_gray, "colour": render_colour, "depth": render_depth}[name]
+            kind: Any = name
             half_turn = np.array([1.0, -1.0, -1.0])
 
             def picture(data: mujoco.MjData) -> Any:
                 turned = np.concatenate([data.qpos[3:5], -data.qpos[5:7]])
                 lane = np.zeros(1, np.int32)
-                return render(appearance, self.scenes, lane, (data.qpos[:3] * half_turn)[None], turned[None])[0]
+                pose = (data.qpos[:3] * half_turn)[None], turned[None]
+                return render_lanes(kind, appearance, self.scenes, lane, *pose)[0]
 
             return picture
 

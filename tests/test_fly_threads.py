@@ -154,28 +154,6 @@ def conditions(s: Script) -> None:
 
 
 @program
-def notifications_go_to_who_waits_longest(s: Script) -> None:
-    condition, woken = s.threading.Condition(), list[Any]()
-
-    def wait(name: int) -> None:
-        s.units(name)
-        with condition:
-            woken.append((name, condition.wait(12 * UNIT_S if name == 3 else LATER_S)))
-
-    threads = s.start(*(partial(wait, name) for name in range(5)))
-    with condition:
-        s.ask(partial(condition.wait, 0.01))  # who no longer waits takes no notification
-    for notify in (condition.notify, partial(condition.notify, 2), condition.notify_all):
-        s.units(6)
-        with condition:
-            notify()
-        s.units(1)
-        s.say(sorted(woken))
-    for thread in threads:
-        thread.join()
-
-
-@program
 def events(s: Script) -> None:
     event = s.threading.Event()
     s.ask(partial(event.wait, 0.01), partial(event.wait, 0), partial(event.wait, -1), event.is_set)

@@ -9,19 +9,21 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
-from numba import njit
 from numpy.typing import NDArray
 
+from tests.compiling import Alone, kept
 from tests.opengl import needs_opengl
 from tests.scenes import Scene
 from uavaccel.envs.obstacle_lane import ObstacleLane
 from uavaccel.errors import UserError
-from uavaccel.kernels import cpu, events, rays
+from uavaccel.kernels import cpu as _cpu
+from uavaccel.kernels import events
+from uavaccel.kernels import faces as _faces
 from uavaccel.kernels import fields as at
+from uavaccel.kernels import rays as _rays
 from uavaccel.kernels.appearance import empty_scenes, fill_scenes, mipmaps, read_appearance
-from uavaccel.kernels.faces import project
 from uavaccel.kernels.fields import Appearance, Scenes
-from uavaccel.kernels.pictures import render_colour, render_depth, render_gray
+from uavaccel.kernels.pictures import render_lanes
 from uavaccel.kernels.quads import (
     MOST_INTERVALS,
     MOST_PIECES,
@@ -42,6 +44,7 @@ from uavaccel.vision.dvs import PRESETS, DvsParameters, init_state, make_sensor,
 from uavaccel.vision.dvs_kernels import count_single_pixel
 from uavaccel.vision.dvs_sensor import sample_pixels
 
+cpu, faces_of, rays = Alone(_cpu), Alone(_faces), Alone(_rays)
 Floats = NDArray[np.float64]
 View = tuple[LaneLayout, Floats, Floats]  # lane, position, quaternion; NED
 
@@ -108,32 +111,20 @@ def laid_out(appearance: Appearance, views: list[View]) -> tuple[Appearance, Sce
 
 
 @needs_opengl
-def test_gray_pictures_are_those_of_opengl(appearance: Appearance, lane_scene: Scene, camera: Camera) -> None:
-    views = drawn_views(48, seed=1)
-    apart = [
-        np.abs(camera.gray(show(lane_scene, view)).astype(int) - ours)
-        for view, ours in zip(views, render_gray(*laid_out(appearance, views)), strict=True)
-    ]
-    assert np.mean(apart) <= MEAN_LEVELS
-    assert np.mean(np.array(apart) > 10) <= SHARE_ABOVE_10
-    assert max(np.mean(picture) for picture in apart) <= 10 * MEAN_LEVELS
-
-
-@needs_opengl
-def test_colours_are_those_of_opengl(appearance: Appearance, lane_scene: Scene, camera: Camera) -> None:
-    views = drawn_views(16, seed=2)
-    for view, ours in zip(views, render_colour(*laid_out(appearance, views)), strict=True):
-        apart = np.abs(camera.colour(show(lane_scene, view)).astype(int) - ours)
-        assert np.mean(apart) <= MEAN_LEVELS
-        assert np.mean(apart > 10) <= SHARE_ABOVE_10
-
-
-@needs_opengl
-def test_depths_are_those_of_opengl(appearance: Appearance, lane_scene: Scene, camera: Camera) -> None:
-    views = drawn_views(16, seed=3)
-    for view, ours in zip(views, render_depth(*laid_out(appearance, views)), strict=True):
-        theirs = camera.depth(show(lane_scene, view))
+@pytest.mark.parametrize(("kind", "views"), [("gray", 48), ("colour", 16), ("depth", 16)])
+def test_pictures_are_those_of_opengl(
+    appearance: Appearance, lane_scene: Scene, camera: Camera, kind: Any, views: int
+) -> None:
+    drawn = drawn_views(views, seed=views + len(kind))
+    theirs = np.array([getattr(camera, kind)(show(lane_scene, view)).copy() for view in drawn])
+    ours = render_lanes(kind, *laid_out(appearance, drawn))
+    if kind == "depth":
         assert np.mean(np.abs(ours / theirs - 1) > 1e-3) <= SHARE_ABOVE_10
+        return
+    apart = np.abs(theirs.astype(int) - ours)
+    assert np.mean(apart) <= MEAN_LEVELS
+    assert np.mean(apart > 10) <= SHARE_ABOVE_10
+    assert max(np.mean(picture) for picture in apart) <= 10 * MEAN_LEVELS
 
 
 class Witness(Camera):
@@ -160,7 +151,7 @@ def test_an_event_camera_sees_a_flight_as_in_opengl(appearance: Appearance, lane
     scenes = empty_scenes(1)
     fill_scenes(appearance, scenes, [0], [sample_layout(lane_seed("evaluation", lane))])
     places, quaternions = mujoco_to_ned(poses[:, :3]), quaternion_mujoco_to_ned(poses[:, 3:])
-    ours = render_gray(appearance, scenes, np.zeros(len(poses), np.int32), places, quaternions)
+    ours = render_lanes("gray", appearance, scenes, np.zeros(len(poses), np.int32), places, quaternions)
     theirs = np.array([picture for _, picture in Witness.seen])
     assert len(theirs) >= 24
     mine, gl = seen_events(ours), seen_events(theirs)
@@ -205,15 +196,16 @@ def test_a_pixel_alone_is_that_of_the_picture(appearance: Appearance) -> None:
     """Column 100 of a picture, and row 70 of its depths."""
     arguments = laid_out(appearance, drawn_views(6, seed=4))
     faces, rows, columns = np.zeros((at.FACES, at.FIELDS), np.float32), np.arange(at.ROWS), np.arange(at.COLUMNS)
-    for number, (picture, depths) in enumerate(zip(render_gray(*arguments), render_depth(*arguments), strict=True)):
+    pictures, depths_of = render_lanes("gray", *arguments), render_lanes("depth", *arguments)
+    for number, (picture, depths) in enumerate(zip(pictures, depths_of, strict=True)):
         scene = appearance, arguments[1], number, arguments[3][number], arguments[4][number]
-        project(*scene, True, faces)
+        faces_of.project(*scene, True, faces)
         alone = [
             luma_of(*rays.colour_of(faces, face, appearance.texels, appearance.textures, row, 100))
             for row, face in enumerate(nearest_faces(faces, rows, 100).tolist())
         ]
         assert np.sum(alone != picture[:, 100]) <= 1
-        project(*scene, False, faces)
+        faces_of.project(*scene, False, faces)
         shown = nearest_faces(faces, 70, columns)
         w = np.where(shown > 0, linear(faces, shown, at.W, 70, columns), faces[0, at.FAR_W])
         assert np.mean(np.abs(1 / w / depths[70] - 1) > 1e-5) <= 0.01
@@ -223,7 +215,7 @@ def test_tiles_touch_every_face_that_they_show(appearance: Appearance) -> None:
     for view in drawn_views(8, seed=5):
         arguments = laid_out(appearance, [view])
         faces = np.zeros((at.FACES, at.FIELDS), np.float32)
-        count = project(appearance, arguments[1], 0, view[1], view[2], True, faces)
+        count = faces_of.project(appearance, arguments[1], 0, view[1], view[2], True, faces)
         for top, left in np.ndindex(3, 4):
             ends = [np.float32(end) for end in (48 * top, 48 * top + 47, 64 * left, 64 * left + 63)]
             touched = {face for face in range(1, count) if rays.touches(faces, face, *ends)}
@@ -270,7 +262,7 @@ def room() -> Column:
     return Column(rows, w[0], w[1], np.zeros(pieces, np.int32))
 
 
-@njit
+@kept()
 def draw(appearance: Any, faces: Any, room: Column, shown: Any, picture: Any) -> None:
     """What each pixel shows (ROWS, COLUMNS), and its luma."""
     for column in range(at.COLUMNS):
@@ -297,9 +289,9 @@ def test_columns_and_quads_are_the_picture(appearance: Appearance) -> None:
     shown = np.zeros((at.ROWS, at.COLUMNS), np.int16)
     drawn = np.zeros((48, at.ROWS, at.COLUMNS), np.uint8)
     for number, picture in enumerate(drawn):
-        project(appearance, arguments[1], number, arguments[3][number], arguments[4][number], True, faces)
+        faces_of.project(appearance, arguments[1], number, arguments[3][number], arguments[4][number], True, faces)
         draw(appearance, faces, room(), shown, picture)
-    apart = np.abs(drawn.astype(int) - render_gray(*arguments))
+    apart = np.abs(drawn.astype(int) - render_lanes("gray", *arguments))
     assert np.mean(apart > 0) <= 5e-5
 
 
@@ -315,7 +307,7 @@ def test_counts_without_a_double_division_are_v2es() -> None:
         assert np.abs(quick).max() > 5
 
 
-@njit
+@kept()
 def see_both(levels: Any, camera: Any, sensor: Any, plain: Any, full: Any) -> tuple[int, int]:
     """A picture as quads without noise see it, and as `events.update_pixel` does: ON minus OFF events."""
     quick = slow = 0
@@ -370,7 +362,7 @@ def test_quads_without_noise_see_what_pixels_see(sigma: float, negative: float) 
         np.testing.assert_array_equal(plain[0], full)
 
 
-@njit
+@kept()
 def see_apart(levels: Any, time_s: float, camera: Any, sensor: Any, pixels: Any, seed: int) -> Any:
     """As threads of a GPU see a picture, of four pixels each: they find the largest count, then begin anew."""
     signed, most = np.zeros(levels.shape, np.int64), np.ones(1, np.int32)

@@ -13,7 +13,7 @@ import pytest
 from numpy.typing import ArrayLike
 
 from tests.made_runs import run_of
-from tests.running import configured, run_into
+from tests.running import configured, fly_into, run_into
 from tools.fit_gap_law import conditions, fit, halves, judged, largest_gap
 from uavaccel.config import parse_yaml
 from uavaccel.envs.obstacle_lane import ObstacleLane
@@ -138,6 +138,19 @@ def test_policies_of_another_task_and_ones_with_their_own_flights_are_flown(tmp_
     assert [config["env_id"] for config in flown] == ["uavaccel/Hover-v0", "uavaccel/ObstacleLane-v0"]
     assert flown[1]["task"]["speed_m_s"] == 0.5
     assert [config["task"]["mediation"]["gap_s"] for config in flown] == [0.4, 0.4]
+
+
+@pytest.mark.slow
+def test_a_run_that_was_moved_goes_on_where_it_was(tmp_path: Path) -> None:
+    """In the midst of a flight of a policy that it has trained, whose folder is another one now."""
+    config = small("only_flights=[usual, gap-2]", "policies={brief: {games: 2}}", "shares=[]", "contrasts=[]")
+    run = fly_into(tmp_path / "run", Mediation(), config)
+    rows = (run.path / "rows.jsonl").read_bytes()
+    run.truncate_to(0)
+    RunDirectory(run.path / "parts/brief-seed0/gap-2").truncate_to(1)
+    del run  # and its lock
+    (tmp_path / "run").rename(tmp_path / "moved")
+    assert (fly_into(tmp_path / "moved", Mediation(), config, resume=True).path / "rows.jsonl").read_bytes() == rows
 
 
 def test_a_policy_that_exists_has_one_flight_whatever_the_seed() -> None:

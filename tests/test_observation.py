@@ -47,9 +47,8 @@ MS = 1_000_000
 
 
 def action_plane(headings: list[float], action: int) -> np.ndarray:
-    told = ContextPlanes(["last_action"], headings, 1)
-    told.update(action, [0], 0, 0)
-    return told.observe()[0]
+    plane: np.ndarray = ContextPlanes(["last_action"], headings, 1).observe(np.array([action]), np.array([[0]]))[0, 0]
+    return plane
 
 
 @given(st.lists(st.integers(1, 180), min_size=0, max_size=12, unique=True), st.booleans(), st.randoms())
@@ -85,26 +84,19 @@ def test_a_learner_mirrors_the_plane_with_the_action() -> None:
         np.testing.assert_array_equal(image[0], expected)
 
 
-def test_ages_are_bands_a_level_for_20_ms_and_a_start_forgets_all() -> None:
-    told = ContextPlanes(["frame_age"], [0.0], 3)
-    assert (told.observe() == 128).all()
-    told.update(0, [100 * MS, 500 * MS], 1, 3000 * MS)
-    bands = told.observe()[0].reshape(3, 12, 64)
-    # 2.9 s is more than a byte holds; 2.5 s; the missing frame is of now.
-    assert [np.unique(band).tolist() for band in bands] == [[255], [128 + 125], [128]]
-    both = ContextPlanes(["frame_age", "last_action"], [-30.0, 30.0], 3)
-    first = both.observe()
-    both.update(1, [0], 2, 3000 * MS)
-    both.start(0)
-    np.testing.assert_array_equal(both.observe(), first)
+def test_ages_are_bands_a_level_for_20_ms() -> None:
+    """2.9 s is more than a byte holds; before the first action nothing is told of any."""
+    told = ContextPlanes(["frame_age", "last_action"], [-30.0, 30.0], 3)
+    ages, acted = told.observe(np.array([-1]), np.array([[2900 * MS, 2500 * MS, 0]]))[0]
+    assert [np.unique(band).tolist() for band in ages.reshape(3, 12, 64)] == [[255], [128 + 125], [128]]
+    assert (acted == 128).all()
 
 
 @needs_opengl
 @pytest.mark.parametrize("flown", [{"command": "tcsc"}, {"command": "adsc", "timing": "virtual", "profile": "airsim"}])
 def test_pictures_and_flight_stay_as_they_were(flown: dict[str, Any]) -> None:
     plain, told = (ObstacleLane(clock_speed=10.0, knows=knows, **flown) for knows in ((), KNOWS))
-    for each in (plain, told):
-        each.reset(seed=3)
+    begun = [each.reset(seed=3)[0] for each in (plain, told)][1]
     for action in (2, 0, 4):
         before, after = plain.step(action), told.step(action)
         assert (before[0].shape, after[0].shape) == ((3, 36, 64), (5, 36, 64))
@@ -118,6 +110,7 @@ def test_pictures_and_flight_stay_as_they_were(flown: dict[str, Any]) -> None:
     else:  # the last one came after a callback of some 28 ms, ten times as long in simulated time
         assert bands[0] - bands[1] == pytest.approx(16, abs=4)
         assert bands[1] > 17 + 5
+    np.testing.assert_array_equal(told.reset(seed=3)[0], begun)
     plain.close()
     told.close()
 

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pandas as pd
 import pytest
 
 from tests.made_runs import line_row
@@ -24,6 +23,7 @@ from uavaccel.suites.dp1 import Dp1
 from uavaccel.suites.dp2 import Dp2
 from uavaccel.suites.paper import Paper, PaperConfig
 from uavaccel.suites.report import Report
+from uavaccel.suites.rl import flights_of
 
 AIRSIM = {"profile": "airsim", "timing": "virtual", "variant": ""}
 NATIVE = {**AIRSIM, "profile": "native"}
@@ -52,29 +52,25 @@ def rl_run(path: Path, *trainings: tuple[dict[str, str], dict[str, Any]]) -> str
     run = RunDirectory.create(path, configured("rl_smoke"), {})
     for number, (kind, changes) in enumerate(trainings):
         made = trained(**changes)
-        for place, cell in enumerate(made.cells.itertuples()):
-            command, clock_speed, games = cell.command, cell.clock_speed, cell.games
-            lost = made.lost[made.lost.clock_speed == clock_speed].ended_m
-            won = {command: cell.successes}
-            if (command, clock_speed) == ("tcsc", 1.0):
-                seed = place % (len(made.interchange) // 2)
-                won = {name: each.successes.iloc[seed] for name, each in made.interchange.groupby("flown_with")}
-                won = {"tcsc": won["tcsc"], **won}
-            case = f"{number}-{place}"
+        ended_m = made.distance_m.iloc[0]
+        for place, ((command, clock_speed, _), flights) in enumerate(made.groupby(["command", "clock_speed", "seed"])):
+            success = dict(zip(flights["with"], flights.success, strict=True))
             row: dict[str, Any] = {"suite": "rl", "seed": 0, **kind, "command": command, "clock_speed": clock_speed}
-            for name in ("training", "exact"):
-                learned = TRAINING | {"games": cell.trained_games, "commands": cell.commands, "phase_s": cell.phase_s}
+            cell = flights.iloc[0]
+            phase_s = cell[list(PHASES)].to_dict()
+            learned = TRAINING | {"games": int(cell.trained_games), "commands": int(cell.commands), "phase_s": phase_s}
+            how = {"clock_speed": 1.0, "timing": "virtual", "simulator": "kernels"}
+            for name, of in {"training": {"training": learned}, "exact": {}}.items():
+                flown = [how | {"command": each, **vars(won)} for each, won in success.items() if of or each == command]
                 arrays: dict[str, Any] = {}
-                how = {"clock_speed": 1.0, "timing": "virtual", "simulator": "kernels", "games": games}
-                flown = [how | {"command": each, "successes": int(successes)} for each, successes in won.items()]
-                for each, successes in won.items():
-                    outcome = (np.arange(games) < successes) & (name == "training")
-                    arrays[f"{each}_is_success"] = outcome
-                    arrays[f"{each}_distance_m"] = np.where(outcome, 5.0, np.resize(lost, games))
-                    arrays[f"{each}_lane"] = np.arange(games)
-                saved = run.save_arrays(f"{case}-{name}", arrays)
-                of = {"training": learned} if name == "training" else {}
-                run.append_row(row | {"case": f"{case}-{name}", "evaluations": flown} | of | saved)
+                for each, won in success.items():
+                    outcome = (np.arange(won.games) < won.successes) & (name == "training")
+                    kept = {"is_success": outcome, "lane": np.arange(won.games)}
+                    kept["distance_m"] = np.where(outcome, 5.0, np.resize(ended_m, won.games))
+                    arrays |= {f"{each if of else name}_{key}": values for key, values in kept.items()}
+                case = f"{number}-{place}-{name}"
+                saved = run.save_arrays(case, arrays)
+                run.append_row(row | {"case": case, "evaluations": flown} | of | saved)
     return str(path)
 
 
@@ -167,10 +163,8 @@ def test_parts_are_scored_once_for_the_same_games(
 def test_rows_alone_decide_all_but_where_games_ended(report: Report) -> None:
     """Without their arrays nobody knows who won which lane: intervals are those of unpaired games."""
     run = RunDirectory(Path(report.config.with_run))
-    whole = claims.Trainings.of(run.rows(), "airsim", run.load_arrays)
-    alone = claims.Trainings.of(run.rows(), "airsim", lambda row: {})
-    columns = ["command", "clock_speed", "successes", "games", "trained_games", "commands"]
-    pd.testing.assert_frame_equal(alone.cells[columns], whole.cells[columns])
+    whole = claims.trainings(flights_of(run.rows(), run.load_arrays), "airsim")
+    alone = claims.trainings(flights_of(run.rows(), lambda row: {}), "airsim")
     assert claims.won(whole, "tcsc", 5.0).won is not None
     assert claims.won(alone, "tcsc", 5.0).won is None
     with pytest.raises(claims.NoEvidence):

@@ -156,6 +156,13 @@ def test_the_users_own_default_action_stays_as_it_is() -> None:
     assert applied(env, [[0.25]]) == [-0.5, -0.5, -0.5, 0.25]
 
 
+@pytest.mark.parametrize("space", [spaces.MultiBinary(2), spaces.MultiDiscrete([2, 3])])
+def test_a_default_action_of_several_parts_is_an_array(space: spaces.MultiBinary | spaces.MultiDiscrete) -> None:
+    given = LoopOptions(default_action=[1, 0]).idle_action(space)
+    assert isinstance(given, np.ndarray)
+    assert (given.dtype, given.tolist()) == (space.dtype, [1, 0])
+
+
 def test_a_step_that_somebody_has_put_in_stays_there() -> None:
     """As profilers and recorders do, below a wrapper whose steps are counted."""
     env, seen = Counting(), list[Any]()
@@ -220,6 +227,8 @@ def test_what_was_measured_is_replayed_as_a_distribution(tmp_path: Path) -> None
     assert len(measured.taken_ns) == 1
     for taken_ns in range(10_000_000, 30_000_000, 100_000):
         measured.taken_ns.append(taken_ns)
+    with pytest.raises(UserError, match="No such file or directory"):
+        measured.save(tmp_path / "none" / "thinking.yaml")
     kept = measured.save(tmp_path / "thinking.yaml")
     replayed = drawn_s(thinking_time(str(kept)))
     assert np.median(replayed) == pytest.approx(0.02, rel=0.05)

@@ -20,7 +20,7 @@ from uavaccel.records import RunDirectory
 from uavaccel.resources import experiment
 from uavaccel.suites import realtime_agents as agents
 from uavaccel.suites.realtime import Evaluation, Realtime
-from uavaccel.suites.realtime_agents import LookAhead, Policy, measured, timed, train, training
+from uavaccel.suites.realtime_agents import LookAhead, measured, policy_of, timed, train, training
 from uavaccel.suites.realtime_config import AgentBlock, EnvironmentBlock
 
 PENDULUM = EnvironmentBlock(id="InvertedPendulum-v5", train_steps=512)
@@ -106,7 +106,7 @@ def test_an_evaluation_flies_the_weights_and_seeds_of_the_run(run: RunDirectory)
     assert learned.items() <= rows["pendulum-naive-s0"].items()
     for agent, latency_s in (("naive", 0.05), ("slow", 0.15)):
         env = timed(PENDULUM, AgentBlock(), latency_s, "adsc", 4.0)
-        policy = Policy(env, AgentBlock(), weights)
+        policy = policy_of(env, AgentBlock(), weights)
         alone = [agents.fly_episode(env, policy, seed, 0.0) for seed in (1_000_010, 1_000_011)]
         row = rows[f"pendulum-{agent}-s0-adsc-50ms-4x"]
         assert (row["returns"], row["delays_s"]) == tuple(list(each) for each in zip(*alone, strict=True))[:2]
@@ -130,7 +130,7 @@ def test_on_the_machines_clock_an_agent_sleeps_for_its_latency(monkeypatch: pyte
         return lambda *given: (met.append(given[2:]), returned)[1]  # type: ignore[func-returns-value]
 
     monkeypatch.setattr(agents, "measured", noting(SimpleNamespace(close=lambda: None)))
-    monkeypatch.setattr(agents, "Policy", lambda *_: None)
+    monkeypatch.setattr(agents, "policy_of", lambda *_: None)
     monkeypatch.setattr(agents, "fly_episode", noting((1.0, 0.0, 0.0)))
     config = configured("realtime_smoke", *TINY, "agents={slow: {latency_factor: 3}}", timing="wall")
     case = next(case for case in Realtime().cases(config) if case.id == "pendulum-slow-s0-adsc-50ms-4x")
@@ -150,7 +150,7 @@ def test_a_policy_is_its_weights_on_normalised_observations(run: RunDirectory) -
         hidden = np.tanh(weights[f"{prefix}.weight"] @ hidden + weights[f"{prefix}.bias"])
     expected = weights["action_net.weight"] @ hidden + weights["action_net.bias"]
     env = timed(PENDULUM, AgentBlock(), 0.0, "adsc", 1.0)
-    np.testing.assert_allclose(Policy(env, AgentBlock(), weights).act(seen), np.clip(expected, -3, 3), rtol=1e-5)
+    np.testing.assert_allclose(policy_of(env, AgentBlock(), weights)(seen), np.clip(expected, -3, 3), rtol=1e-5)
 
 
 @pytest.mark.parametrize("ends", ["lost", "out"])
@@ -171,41 +171,34 @@ def test_an_episode_has_its_return_delay_and_lateness(ends: str) -> None:
         )
 
     env: Any = SimpleNamespace(reset=lambda seed: (seed, {}), step=step)
-    actor: Any = SimpleNamespace(begin=lambda seed: None, act=lambda observation: 10 * observation)
-    assert agents.fly_episode(env, actor, 7, 0.0) == (6.5, 0.25, 0.75)
+    assert agents.fly_episode(env, lambda observation: 10 * observation, 7, 0.0) == (6.5, 0.25, 0.75)
     assert met == [70, 710, 7110, 71110]
-
-
-class Echo(Policy):
-    """Acts by the pole's angle, and keeps what it has been shown."""
-
-    def __init__(self) -> None:
-        self.shown: list[Any] = []
-
-    def act(self, observation: Any) -> Any:
-        self.shown.append(observation)
-        return np.array([10 * observation[1] + 2 * observation[3]], np.float32)
 
 
 @pytest.mark.parametrize("clock_speed", [1.0, 2.0])
 def test_who_looks_ahead_decides_upon_what_will_be(clock_speed: float) -> None:
-    env = timed(PENDULUM, AgentBlock(), 0.03, "adsc", clock_speed)
-    echo, inside = Echo(), env.unwrapped
-    ahead = LookAhead(echo, env, PENDULUM, 0.03, clock_speed)
-    applied, do_simulation = [], inside.do_simulation  # type: ignore[attr-defined]
+    env, shown = timed(PENDULUM, AgentBlock(), 0.03, "adsc", clock_speed), list[Any]()
+    inside: Any = env.unwrapped
+
+    def by_the_angle(observation: Any) -> Any:
+        shown.append(observation)
+        return np.array([10 * observation[1] + 2 * observation[3]], np.float32)
+
+    ahead = LookAhead(by_the_angle, env, PENDULUM, 0.03, clock_speed)
+    applied, do_simulation = [], inside.do_simulation
 
     def watched(control: Any, ticks: int) -> None:
-        applied.append(np.concatenate([inside.data.qpos, inside.data.qvel]))  # type: ignore[attr-defined]
+        applied.append(np.concatenate([inside.data.qpos, inside.data.qvel]))
         do_simulation(control, ticks)
 
-    inside.do_simulation = watched  # type: ignore[attr-defined]
+    inside.do_simulation = watched
     for seed in (3, 4):
         observation, _ = env.reset(seed=seed)
-        ahead.begin(seed)
+        ahead.reset(seed)
         for _ in range(4):
-            observation, *_ = env.step(ahead.act(observation))
+            observation, *_ = env.step(ahead(observation))
     steps = len(applied) // 8  # of each decision the last one begins where its action is applied
-    np.testing.assert_allclose(echo.shown, applied[steps - 1 :: steps], atol=1e-12)
+    np.testing.assert_allclose(shown, applied[steps - 1 :: steps], atol=1e-12)
 
 
 def test_a_trainings_return_is_of_its_last_hundred_episodes() -> None:

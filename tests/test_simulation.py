@@ -22,41 +22,6 @@ from uavaccel.sim.world import World
 TICK_NS, CATCH_UP_NS = NATIVE.tick_ns, NATIVE.catch_up_wall_ns
 
 
-def test_a_time_the_step_does_not_divide_is_refused_without_a_trace() -> None:
-    simulation = simulate()
-    reply = fly_velocity(simulation, NORTH, 0.1, 0)
-    with pytest.raises(UserError, match="not a positive multiple of the physics step of 2 ms"):
-        fly_velocity(simulation, EAST, 0.333, go_to(simulation, 10))
-    go_to(simulation, 50)
-    assert answer(reply) is True
-
-
-@pytest.mark.parametrize(("duration_ns", "ticks"), [(0, 0), (1, 1), (2_999_999, 1), (3_000_000, 1), (6_000_000, 2)])
-def test_airsims_continue_for_runs_a_tick_at_least(duration_ns: int, ticks: int) -> None:
-    """AirSim looks at its timer after a tick; without a duration it is over at once."""
-    simulation = simulate(1.0, AIRSIM)
-    simulation.pause(0)
-    simulation.continue_for(duration_ns, 0)
-    while (due_ns := simulation.next_event_wall_ns()) is not None:
-        simulation.advance_to(due_ns)
-    assert (simulation.paused, simulation.world.tick) == (True, ticks)
-
-
-@pytest.mark.parametrize(("late_ns", "ticks"), [(0, 33), (90_000, 33), (300_000, 34), (3_000_000, 43)])
-def test_in_airsim_a_continue_for_is_a_wall_timer(late_ns: int, ticks: int) -> None:
-    simulation = simulate(10, AIRSIM, timer_lateness_ns=lambda: late_ns)
-    simulation.pause(0)
-    reply = simulation.continue_for(100_000_000, 0)
-    due_ns = 10_000_000 + late_ns
-    assert simulation.next_event_wall_ns() == due_ns
-    simulation.advance_to(due_ns - 1)
-    assert not simulation.paused
-    simulation.advance_to(due_ns)
-    answer(reply)
-    assert (reply.due_wall_ns, simulation.world.tick) == (due_ns, ticks)
-    assert simulation.paused
-
-
 @pytest.mark.parametrize("profile", [NATIVE, AIRSIM])
 def test_samples_lie_on_exact_ticks_from_the_first_command_on(profile: Profile) -> None:
     """The recorder runs from the game's start and starts again when the first command is accepted."""

@@ -14,7 +14,6 @@ from uavaccel.sim.poses import LEVEL
 from uavaccel.sim.profile import NATIVE, Profile
 from uavaccel.sim.simulation import Simulation
 from uavaccel.sim.vehicle.quadrotor import air_density
-from uavaccel.sim.vehicle.vehicle import AddedVehicle, Start
 from uavaccel.sim.world import World
 from uavaccel.wire.api import Api
 
@@ -118,19 +117,6 @@ def test_what_touches_something_and_rests_has_landed(contacts: int, speed_m_s: f
     for direction in np.eye(3):
         vehicle.state["velocity"] = speed_m_s * direction
         assert vehicle.landed is landed
-
-
-def test_what_was_touched_is_known_after_another_vehicle_came() -> None:
-    world = World("blocks", NATIVE)
-    put_vehicle(world, (0.0, 0.0, -0.5))
-    world.lead.state["armed"] = 0
-    world.advance(500)
-    log = world.lead.contact_log
-    before = log.count, log.first, log.latest
-    assert before[0] > 0
-    world.add_vehicles([AddedVehicle("Second", Start((5.0, 0.0, -3.0)))])
-    assert (world.lead.contact_log.count, world.lead.contact_log.first, world.lead.contact_log.latest) == before
-    assert world.lead.contact_log.read()
 
 
 def test_gains_are_restored_whichever_were_set() -> None:

@@ -6,32 +6,24 @@ import contextlib
 import socket
 from collections.abc import Iterator
 from itertools import pairwise
+from types import SimpleNamespace
 from typing import Any
 
 import msgpack
-import numpy as np
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from tests.simulating import world_of
-from uavaccel.clock import VirtualClock
+from tests.simulating import NORTH, always, start, world_of
 from uavaccel.commands import COMMANDS
-from uavaccel.kinematics import VelocityGoal
 from uavaccel.sim.profile import AIRSIM, NATIVE, Profile
 from uavaccel.sim.simulation import Simulation
 from uavaccel.wire import rpc
-from uavaccel.wire.api import Api
-from uavaccel.wire.latency import QUANTILES, Latency, LatencyConfig
+from uavaccel.wire.latency import LatencyConfig
 from uavaccel.wire.session import Client
-from uavaccel.wire.transport import SocketTransport, VirtualTransport
+from uavaccel.wire.transport import SocketTransport
 
 US, MS = 1_000, 1_000_000
-NORTH = VelocityGoal((1.0, 0.0, 0.0))
-
-
-def always(microseconds: float) -> tuple[float, ...]:
-    return (microseconds,) * len(QUANTILES)
 
 
 # Every latency is another number, so that each of them shows in the sums below.
@@ -50,13 +42,8 @@ FIXED = LatencyConfig(
 
 
 def new_client(clock_speed: float, profile: Profile = NATIVE) -> Client:
-    """A game on a simulated wall clock whose latencies are FIXED; its trace is on."""
-    world_of(profile).reset()
-    draws = Latency(FIXED, np.random.SeedSequence(0))
-    simulation = Simulation(world_of(profile), clock_speed, timer_lateness_ns=draws.timer_ns)
-    transport = VirtualTransport(Api(simulation, render=False), VirtualClock(), draws, exclusive=True)
-    client = Client(transport)
-    client.start_game(clock_speed)
+    """Its latencies are FIXED, its trace is on."""
+    client = start(clock_speed, FIXED, profile=profile)
     client.trace(True)
     return client
 
@@ -136,7 +123,7 @@ def test_a_deadline_may_fall_before_the_end_or_before_the_callback() -> None:
     assert client.now_ns() == end_ns + 50 * US, "it has ended, but its callback is under way"
     assert client.join(future, end_ns + 149 * US)
     assert client.now_ns() == end_ns + 149 * US
-    assert future.result() is True
+    assert future.outcome() is True
     assert client.join(future), "a second join costs nothing"
     assert client.now_ns() == end_ns + 149 * US
 
@@ -198,7 +185,8 @@ class Peer:
 @pytest.fixture
 def ends() -> Iterator[tuple[SocketTransport, Peer]]:
     with socket.create_server(("127.0.0.1", 0)) as listener:
-        transport = SocketTransport(*listener.getsockname()[:2])
+        server: Any = SimpleNamespace(port=listener.getsockname()[1])  # nobody is silent long enough to be looked at
+        transport = SocketTransport(server)
         connection, _ = listener.accept()
         with connection:
             yield transport, Peer(connection)
@@ -235,9 +223,9 @@ def test_replies_find_their_calls_in_any_order(ends: tuple[SocketTransport, Peer
     for message_id, value in reversed(list(zip(ids, ("first", "second", "third"), strict=True))):
         peer.answer(message_id, value, "no" if value == "second" else None)
     assert all(transport.wait(call) for call in calls)
-    assert (calls[0].result(), calls[2].result()) == ("first", "third")
+    assert (calls[0].outcome(), calls[2].outcome()) == ("first", "third")
     with pytest.raises(rpc.RpcError, match=r"^no$"):
-        calls[1].result()
+        calls[1].outcome()
 
 
 @pytest.mark.parametrize("expected_in_ns", [None, 0, 5 * MS, 10**12])
@@ -256,7 +244,7 @@ def test_a_deadline_ends_a_wait_and_not_the_call(
         assert not call.done
     peer.answer(1, "late")
     assert transport.wait(call, transport.clock.now_ns() + 10**12)
-    assert call.result() == "late"
+    assert call.outcome() == "late"
 
 
 def test_an_answer_comes_before_the_moment_it_was_expected_at(ends: tuple[SocketTransport, Peer]) -> None:
@@ -279,10 +267,7 @@ def test_a_server_that_has_gone_is_an_error(ends: tuple[SocketTransport, Peer]) 
 def test_what_a_socket_may_change_is_not_known_any_more(ends: tuple[SocketTransport, Peer]) -> None:
     transport, _ = ends
     state = Simulation(world_of(NATIVE)).kinematics()
-    transport.known.paused_at(state)
-    assert transport.known.state is None, "others may fly too"
-    transport.known.exclusive = True
-    transport.known.paused_at(state)
+    transport.known.state = state
     for method, known in (("uavaccelImage", state), ("uavaccelCollision", state), ("simPause", None)):
         transport.send(method, (), blocking=False)
         assert transport.known.state is known
@@ -310,8 +295,8 @@ places = st.lists(st.integers(min_value=0), max_size=8)
 def understood(data: bytes, cuts: list[int]) -> list[rpc.RpcRequest]:
     """What a server takes out of `data`, which arrives cut at these places."""
     framer, found = rpc.Framer(), list[rpc.RpcRequest]()
-    for start, end in pairwise([0, *sorted(cut % (len(data) + 1) for cut in cuts), len(data)]):
-        message = framer.next(data[start:end])
+    for begin, end in pairwise([0, *sorted(cut % (len(data) + 1) for cut in cuts), len(data)]):
+        message = framer.next(data[begin:end])
         while message is not None:
             found.append(rpc.unpack_request(message))
             message = framer.next()

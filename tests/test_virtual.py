@@ -11,14 +11,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from tests.simulating import world_of
-from uavaccel.clock import VirtualClock
+from tests.simulating import start, world_of
 from uavaccel.commands import COMMANDS, SQUARE, TWO_FORWARD_ONE_BACK
 from uavaccel.kinematics import Vector, VelocityGoal
-from uavaccel.sim.profile import AIRSIM, NATIVE, Profile
-from uavaccel.sim.simulation import Simulation
+from uavaccel.sim.profile import AIRSIM, NATIVE
 from uavaccel.wire.api import Api
-from uavaccel.wire.latency import QUANTILES, ZERO_LATENCY, Latency, LatencyConfig
+from uavaccel.wire.latency import QUANTILES, LatencyConfig
 from uavaccel.wire.rpc import RpcError
 from uavaccel.wire.session import Client
 from uavaccel.wire.transport import VirtualTransport
@@ -35,17 +33,6 @@ LOOPBACK_US = (20.0, 22.0, 24.0, 25.0, 27.0, 30.0, 34.0, 40.0, 50.0, 90.0, 200.0
 LOOPBACK = LatencyConfig(request_us={"call": LOOPBACK_US}, reply_us={"call": LOOPBACK_US}, issue_us=LOOPBACK_US)
 
 Arrays = dict[str, NDArray[np.float64]]
-
-
-def start(
-    clock_speed: float, latency: LatencyConfig = ZERO_LATENCY, seed: int = 0, profile: Profile = NATIVE
-) -> Client:
-    """A game on a simulated wall clock, as a session starts one."""
-    draws = Latency(latency, np.random.SeedSequence(seed))
-    simulation = Simulation(world_of(profile), clock_speed, timer_lateness_ns=draws.timer_ns)
-    client = Client(VirtualTransport(Api(simulation), VirtualClock(), draws, exclusive=True), clock_speed)
-    client.start_game(clock_speed)
-    return client
 
 
 def fly(

@@ -27,6 +27,8 @@ from uavaccel.watch import scene as scenes
 from uavaccel.watch.page import FLAT_OUT, DroneState, Moment, Page, Source, Views, clock_table, head_of, legend
 from uavaccel.watch.scene import Drone, Eyes, Scene
 
+pytestmark = pytest.mark.usefixtures("without_camera")
+
 # A floor of 6 x 4 m whose texture, red above green, repeats thrice northwards and twice westwards; solids of every
 # kind; a hull, a geom far below, and a vehicle that is turned by a quarter and has a rotor beside its middle.
 MODEL = """
@@ -231,14 +233,6 @@ class Opened:
     def tell(self, *moments: Moment) -> None:
         self.source.told = moments
         self.page.update(0.1)
-
-
-@pytest.fixture(autouse=True)
-def without_camera(monkeypatch: pytest.MonkeyPatch) -> None:
-    def make_camera(*_: Any) -> Any:
-        raise UserError("no OpenGL")
-
-    monkeypatch.setattr(pages, "make_camera", make_camera)
 
 
 def test_every_drone_has_its_own_path_in_each_flight() -> None:

@@ -32,6 +32,8 @@ from uavaccel.watch.replay import Track, recorded, script_track
 from uavaccel.watch.sources import Live, Replay, Told
 from uavaccel.wire.broadcast import FREE, PAGE
 
+pytestmark = pytest.mark.usefixtures("without_camera")
+
 # --- replays ---------------------------------------------------------------------------------------------------------
 
 
@@ -50,14 +52,6 @@ def straight(name: str, clock_speed: float, metres: float, aside_m: float = 0.0,
 def shown(*tracks: Track, **options: Any) -> tuple[Replay, Page, Server]:
     server, replay = Server(2.0), Replay(tracks, **options)
     return replay, Page(server, replay, "A title.", replay.begin), server  # type: ignore[arg-type]
-
-
-@pytest.fixture(autouse=True)
-def without_camera(monkeypatch: pytest.MonkeyPatch) -> None:
-    def make_camera(*_: Any) -> Any:
-        raise UserError("no OpenGL")
-
-    monkeypatch.setattr(pages, "make_camera", make_camera)
 
 
 def test_a_replay_goes_by_simulated_seconds_pauses_and_steps() -> None:

@@ -6,7 +6,6 @@ Prints the table of docs/kernels.md.
 """
 
 import argparse
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +14,7 @@ import numpy as np
 
 from uavaccel.draw import style
 from uavaccel.kernels.appearance import empty_scenes, fill_scenes, read_appearance
-from uavaccel.kernels.pictures import render_colour, render_depth, render_gray
+from uavaccel.kernels.pictures import render_lanes
 from uavaccel.resources import asset
 from uavaccel.sim.camera.camera import Camera
 from uavaccel.sim.lane import Difficulty, apply_layout, lane_seed, sample_layout
@@ -24,6 +23,7 @@ from uavaccel.suites import plots
 from uavaccel.units import ned_to_mujoco, quaternion_ned_to_mujoco
 
 SHOWN, GAIN = 2, 16
+KINDS: tuple[Any, ...] = ("gray", "colour", "depth")
 CONDITIONS = {  # altitude in metres, tilt and yaw in degrees, cylinders
     "2 m, tilted up to 15 degrees": ((1.5, 2.5), 15.0, 8.0, False),
     "the same, cylinders": ((1.5, 2.5), 15.0, 8.0, True),
@@ -59,18 +59,14 @@ def main() -> None:
             quaternions = np.array([attitude(rng, tilt, yaw) for _ in lanes])
             scenes = empty_scenes(options.views)
             fill_scenes(appearance, scenes, lanes.tolist(), layouts)
-            drawn = [
-                draw(appearance, scenes, lanes, places, quaternions)
-                for draw in (render_gray, render_colour, render_depth)
-            ]
+            drawn = [render_lanes(kind, appearance, scenes, lanes, places, quaternions) for kind in KINDS]
             theirs: list[list[np.ndarray]] = [[], [], []]
-            cameras: list[Callable[[Any], np.ndarray]] = [camera.gray, camera.colour, camera.depth]
             for layout, place, quaternion in zip(layouts, places, quaternions, strict=True):
                 apply_layout(model, data, layout)
                 data.qpos[:3], data.qpos[3:7] = ned_to_mujoco(place), quaternion_ned_to_mujoco(quaternion)
-                for kept, render in zip(theirs, cameras, strict=True):
-                    kept.append(render(data))
-            gray, colour = (np.abs(np.array(theirs[kind]).astype(int) - drawn[kind]) for kind in (0, 1))
+                for kept, kind in zip(theirs, KINDS, strict=True):
+                    kept.append(getattr(camera, kind)(data))
+            gray, colour = (np.abs(np.array(theirs[number]).astype(int) - drawn[number]) for number in (0, 1))
             depth = np.abs(drawn[2] / np.array(theirs[2]) - 1)
             print(
                 f"| {name} | {gray.mean():.4f} | {100 * (gray > 0).mean():.4f} % | {100 * (gray > 10).mean():.4f} % "

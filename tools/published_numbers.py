@@ -119,7 +119,7 @@ def evidence(part: str) -> claims.Flown:
 def verdicts(profile: str) -> dict[str, dict[str, str]]:
     """Return the verdict on each claim, and what decides it."""
     found: dict[str, Any] = {kind: evidence(f"{kind}-{profile}") for kind in ("dp1", "dp2")}
-    found["rl"] = claims.Trainings.of(rows_of("rl_table1"), profile, arrays_of)
+    found["rl"] = claims.trainings(trainings("rl_table1"), profile)
     return {claim.id: verdict(claim, found) for claim in claims_of_the_paper()}
 
 

@@ -13,9 +13,9 @@ from uavaccel.airsim import utils as pfm  # noqa: F401  AirSim's module of this 
 from uavaccel.airsim.client import CarClient as CarClient
 from uavaccel.airsim.client import MultirotorClient as MultirotorClient
 from uavaccel.airsim.client import VehicleClient as VehicleClient
-from uavaccel.airsim.connection import Future as Future
 from uavaccel.airsim.types import *
 from uavaccel.airsim.utils import *
+from uavaccel.wire.rpc import Future as Future
 from uavaccel.wire.rpc import RpcError as RpcError
 
 __version__ = "1.8.1"  # of the API

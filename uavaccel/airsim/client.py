@@ -10,7 +10,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Sequence
 
-from uavaccel.airsim.connection import Future, Mirrored, remote
+from uavaccel.airsim.connection import Mirrored, remote
 from uavaccel.airsim.types import (
     AngleLevelControllerGains,
     AngleRateControllerGains,
@@ -24,6 +24,7 @@ from uavaccel.airsim.types import (
     YawMode,
 )
 from uavaccel.airsim.vehicle_client import VehicleClient
+from uavaccel.wire.rpc import Future
 
 __all__ = ["CarClient", "MultirotorClient", "VehicleClient"]
 

@@ -1,7 +1,7 @@
 """A client's connection to a server, and the declaration of AirSim's calls over it.
 
-A call blocks, or returns a future, whose members have the names of msgpack-rpc, which AirSim's scripts use: `join`,
-`get`, `result`, `error`. A method's signature says what is sent, its annotations how arguments and answer convert:
+A call blocks, or returns a future. A method's signature says what is sent, its annotations how arguments and answer
+convert:
 
 @remote
 def simGetVehiclePose(self, vehicle_name: str = "") -> Pose: ...
@@ -23,41 +23,13 @@ import numpy as np
 from uavaccel.airsim.types import MsgpackMixin
 from uavaccel.clock import MonotonicClock, wait_for_sockets
 from uavaccel.units import NS_PER_S
-from uavaccel.wire import rpc
-from uavaccel.wire.rpc import Received, RpcSocket
+from uavaccel.wire.rpc import Future, Received, RpcSocket
 
 if TYPE_CHECKING:
     from uavaccel.airsim.client import VehicleClient
 
 _printed: set[str] = set()
 _AS_THEY_ARE = (bool, int, float, str, bytes, type(None))
-
-
-class Future:
-    """A pending call. `result` and `error` are valid after `join`; `error` is the server's text, or None."""
-
-    def __init__(self, method: str, wait: Callable[[Future], None]) -> None:
-        self.method = method
-        self.done = False
-        self.result: Received = None
-        self.error: str | None = None
-        self._wait = wait
-
-    def join(self) -> None:
-        """Wait for the answer. As in AirSim an error is not raised; it is printed once on standard error."""
-        if not self.done:
-            self._wait(self)
-
-    def get(self) -> Received:
-        """Wait for the answer and return it. Raises rpc.RpcError with the server's text."""
-        self.join()
-        if self.error is not None:
-            raise rpc.RpcError(self.error)
-        return self.result
-
-    def answer(self, error: str | None, result: object) -> None:
-        """Set the server's answer."""
-        self.error, self.result, self.done = error, result, True
 
 
 class Connection(Protocol):
@@ -110,9 +82,7 @@ class SocketConnection:
         self._read_by_somebody = False
 
     def call(self, method: str, *params: object) -> Received:
-        future = self._send(method, params, self._wait)
-        self._wait(future)
-        return future.get()
+        return self._send(method, params, self._wait).get()
 
     def call_async(self, method: str, *params: object) -> Future:
         return self._send(method, params, self._join)
@@ -147,8 +117,7 @@ class SocketConnection:
             try:
                 if not wait_for_sockets(self._rpc.selector, deadline_ns):
                     raise TimeoutError(self._late(future))
-                for answered, error, result in self._rpc.receive():
-                    answered.answer(None if error is None else str(error), result)
+                self._rpc.receive()
             finally:
                 with self._state:
                     self._read_by_somebody = False
@@ -237,7 +206,7 @@ class Untyped:
         kind = inspect.Parameter.POSITIONAL_OR_KEYWORD
         parameters = [inspect.Parameter(each, kind) for each in ("self", *required)]
         parameters += [inspect.Parameter(default, kind, default=value) for default, value in defaults.items()]
-        self._signature = signature = inspect.Signature(parameters)
+        signature = inspect.Signature(parameters)
 
         def declared(*arguments: object, **named: object) -> object:
             return signature.bind(*arguments, **named)

@@ -15,10 +15,10 @@ from typing import ParamSpec
 
 from uavaccel.airsim import client, utils
 from uavaccel.airsim.client import FOR_EVER
-from uavaccel.airsim.connection import Future
 from uavaccel.airsim.types import *
 from uavaccel.airsim.types import CameraInfo, CollisionInfo, GeoPoint, ImageType, Pose, Quaternionr, RCData, Vector3r
 from uavaccel.airsim.utils import *
+from uavaccel.wire.rpc import Future
 
 AirSimImageType = ImageType
 

@@ -68,6 +68,7 @@ class DeviceClocks:
     def reach(self, going: th.Tensor, sample: int) -> th.Tensor:
         """Fly to a command's next sample, and return which lanes (L,) uint8 have one."""
         reached = (self._now, self._timing, self._clocks, kernels.shared(self._rendering), kernels.shared(self._legs))
+        self._rendering.zero_()
         self._run("reach", going, sample, *reached)
         self._fly(self._rendering)
         return self._rendering
@@ -109,7 +110,7 @@ class DeviceClocks:
             to_shown = th.zeros_like(self._legs)
             self._run("split", which, self._now, self._clocks, legs, kernels.shared(to_shown))
             self._advance(which, to_shown.clamp(min=0))
-            self._run("save_shown", which, self._now, self._clocks, kernels.shared(to_shown))
+            self._run("save_shown", which * (to_shown >= 0), self._now, self._clocks)
         self._advance(which, self._legs)
 
     def _swap_displayed_pose(self) -> None:
@@ -125,4 +126,4 @@ class DeviceClocks:
 
     def _run(self, name: str, which: th.Tensor, *arguments: Any) -> None:
         grid = kernels.grid(self._count, kernels.FLYING_THREADS)
-        getattr(self._view.kernels, name)[grid](kernels.shared(which), *arguments)
+        getattr(self._view.kernels, name)[grid](kernels.shared(which), arguments)

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from uavaccel.envs.arrays import mapped, stacked
 from uavaccel.envs.checks import known_options
+from uavaccel.envs.conditions import OF_SENSOR
 from uavaccel.envs.flight_env import CONDITIONS
 from uavaccel.envs.kernel_games import Drawn, GameMaker, keys_of
 from uavaccel.envs.navigate import NavigateTask
@@ -44,13 +45,12 @@ class LaneGames:
     int64 is what the running game is found by afterwards. `one_camera`: all games have the task's own.
     """
 
-    one_camera = False
     rows: Any
     arrays: Any
 
     def __init__(self, task: Task, count: int, device: th.device, rows_a_lane: int) -> None:
         self.maker = GameMaker(task)
-        self.count, self.device = count, device
+        self.count, self.device, self.one_camera = count, device, _has_one_camera(task)
         self._host = self.maker.rows(count * rows_a_lane)
         self.scales = th.ones(count * rows_a_lane, dtype=th.float64, device=device)
         self.begun = th.zeros(count, dtype=th.int64, device=device)
@@ -91,10 +91,15 @@ def games_of(task: Task, count: int, device: th.device) -> Dealt | SampledAhead:
     )
 
 
+def _has_one_camera(task: Task) -> bool:
+    conditioned = type(task).with_conditions
+    if isinstance(task, LaneTask) and task.randomise is not None:
+        return conditioned is LaneTask.with_conditions and not set(task.randomise.given()) & set(OF_SENSOR)
+    return conditioned in (Task.with_conditions, LaneTask.with_conditions)
+
+
 class Dealt(LaneGames):
     """Games of the obstacle lane that a kernel samples when they are needed; lane i flies row i."""
-
-    one_camera = True
 
     def __init__(self, task: Task, count: int, device: th.device) -> None:
         super().__init__(task, count, device, 1)
@@ -163,7 +168,7 @@ class Dealt(LaneGames):
 
     def _deal(self, idle: th.Tensor) -> None:
         grid = kernels.grid(self.count, kernels.FLYING_THREADS)
-        self._kernels.deal[grid](kernels.shared(idle), self._distribution, self._deals, self.arrays)
+        self._kernels.deal[grid](kernels.shared(idle), (self._distribution, self._deals, self.arrays))
 
     def found(self, lane: int, label: int) -> Drawn:
         """Return a lane's game as it was sampled, by its label."""

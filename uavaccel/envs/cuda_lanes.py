@@ -269,12 +269,13 @@ class CudaLanes:
 
     def _advance(self, which: th.Tensor, ticks: th.Tensor) -> None:
         """Fly the lanes selected by `which` (L,) uint8 for `ticks` (L,) int64."""
-        flown = kernels.shared(ticks), self.games.arrays, self._now_arrays, self.view.plan.hull, self._threads
-        self._launch(self.kernels.fly, which, *flown, threads=self._threads)
+        flown = kernels.shared(ticks), self.games.arrays, self._now_arrays, self.view.hull, self._threads
+        grid = kernels.grid(self.count * self._threads, kernels.FLYING_THREADS)
+        self.kernels.fly[grid](kernels.shared(which), *flown)
 
-    def _launch(self, kernel: Any, which: th.Tensor, *arguments: Any, threads: int = 1) -> None:
-        """Launch a kernel, with one thread per lane or more."""
-        kernel[kernels.grid(self.count * threads, kernels.FLYING_THREADS)](kernels.shared(which), *arguments)
+    def _launch(self, kernel: Any, which: th.Tensor, *arguments: Any) -> None:
+        """Launch a kernel with one thread per lane (kernels/lane_clocks.LAUNCHED)."""
+        kernel[kernels.grid(self.count, kernels.FLYING_THREADS)](kernels.shared(which), arguments)
 
     # --- after it ---------------------------------------------------------------------------------
 

@@ -22,6 +22,7 @@ import traceback
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from multiprocessing.connection import Connection, wait
+from operator import attrgetter
 from pathlib import Path
 from select import POLLIN, poll
 from typing import Any
@@ -35,7 +36,7 @@ from uavaccel.envs.arrays import assign, select
 from uavaccel.envs.flight_env import FlightEnv, environment_of
 from uavaccel.envs.values import Action, Answer, Info, Observation
 from uavaccel.errors import UserError
-from uavaccel.own_code import errors_named, file_of
+from uavaccel.own_code import errors_named, file_of, import_alone
 from uavaccel.processes.forks import CAN_FORK, WITHOUT_THREADS, Fork, Forks, fork_each
 from uavaccel.processes.lifetime import (
     Process,
@@ -245,14 +246,43 @@ class EnvironmentProcesses:
         self._processes, self._forks = [], None
 
 
+class SlotsHere:
+    """Environments in this process, which fly one after another, each when its answer is waited for."""
+
+    def __init__(self, environment: type[FlightEnv[Any]], options: Options, slots: int) -> None:
+        shared = SharedObservations(options["form"], options["memory"])
+        self._slots = [Slot(environment, options, shared, number) for number in range(slots)]
+        self._asked: dict[int, tuple[str, tuple[object, ...]]] = {}
+
+    def ask(self, slot: int, method: str, *arguments: object) -> None:
+        """Note a request."""
+        self._asked[slot] = method, arguments
+
+    def request_all(self, method: str, arguments: Sequence[tuple[object, ...]], slots: Sequence[int]) -> list[Answer]:
+        """Return the answers of `slots` to a request of each."""
+        self._asked |= {slot: (method, argument) for slot, argument in zip(slots, arguments, strict=True)}
+        return self.answers(slots)
+
+    def answers(self, slots: Sequence[int]) -> list[Answer]:
+        """Return the answers of `slots` to what they were asked."""
+        asked = [(self._slots[slot], *self._asked.pop(slot)) for slot in slots]
+        return [getattr(slot, method)(*arguments) for slot, method, arguments in asked]
+
+    def close(self) -> None:
+        """End the environments."""
+        for slot in self._slots:
+            slot.close()
+
+
 class Slot:
     """One environment of a batch; requests over its connection name a method of this class."""
 
     def __init__(
-        self, environment: FlightEnv[Any], seen: Observation, last: Observation, autoreset: AutoresetMode
+        self, environment: type[FlightEnv[Any]], options: Options, shared: SharedObservations, number: int
     ) -> None:
-        self._environment, self._autoreset = environment, autoreset
-        self._seen, self._last, self._over = seen, last, False
+        self._environment, self._autoreset = environment(**options["keys"]), AutoresetMode(options["autoreset"])
+        self._seen, self._last = (select(each, number) for each in (shared.present, shared.last))
+        self._over = False
 
     def reset(self, seed: int | None, options: Mapping[str, object] | None) -> Info:
         """Begin a game and return its info; the observation goes into shared memory."""
@@ -305,11 +335,8 @@ def fly(options: Options, number: int, descriptor: int) -> None:
             method, arguments = connection.recv()
             try:
                 if slot is None:
-                    found: Any = environment_of(getattr(importlib.import_module(module), name))
-                    environment, own = found(**options["keys"]), file_of(found)
-                    autoreset = AutoresetMode(options["autoreset"])
-                    seen, last = (select(each, number) for each in (shared.present, shared.last))
-                    slot = Slot(environment, seen, last, autoreset)
+                    found: Any = environment_of(attrgetter(name)(import_alone(module)))
+                    slot, own = Slot(found, options, shared, number), file_of(found)
                 with errors_named(own):
                     answer = getattr(slot, method)(*arguments)
                 connection.send((True, answer))

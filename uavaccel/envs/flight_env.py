@@ -30,7 +30,7 @@ from uavaccel.envs.checks import (
     seed_of,
     within,
 )
-from uavaccel.envs.sensors import EventCamera
+from uavaccel.envs.sensors import NO_ACTION, EventCamera
 from uavaccel.envs.stopwatch import Stopwatch
 from uavaccel.envs.task import Mediation, Task, told_of
 from uavaccel.envs.values import Action, Course, Frame, Info, Moment, Observation, State
@@ -82,6 +82,8 @@ class FlightEnv(gymnasium.Env[Observation, Action], Generic[TaskT]):
         self._context = self.task.context_planes()
         self._command = COMMANDS[self.task.command]
         self._frames: deque[Frame] = deque(maxlen=self.task.frames_per_command * self.task.history)
+        self._taken_ns: deque[int] = deque(maxlen=self._frames.maxlen)
+        self._acted, self._decides_ns = NO_ACTION, 0  # which and when, for what is told beside the frames
         self._session: Session | None = None
         self._client: FlightClient | None = None
         self._noise = ImageNoise()
@@ -283,8 +285,8 @@ class FlightEnv(gymnasium.Env[Observation, Action], Generic[TaskT]):
         frame = self.sensor.reset(state, first.image, course)
         seen = self._checked(frame) if task.sees_start and not task.blank_images else self.sensor.blank
         self._frames.extend([seen] * (self._frames.maxlen or 0))
-        if self._context is not None:
-            self._context.start(state.time_ns)
+        self._taken_ns.extend([state.time_ns] * (self._frames.maxlen or 0))
+        self._acted, self._decides_ns = NO_ACTION, state.time_ns
         self._command.begin(client)
         game = Game(task, session, self._noise, first.state)
         for observer in self._observers:
@@ -316,8 +318,8 @@ class FlightEnv(gymnasium.Env[Observation, Action], Generic[TaskT]):
         self._frames.extend([self.sensor.blank] * missing)
         if self._context is not None:
             since_ns = client.now_ns() - gathered_ns if task.command == "adsc" else 0  # TCSC's clock is paused
-            present_ns = ended_ns + round(since_ns * task.clock_speed)
-            self._context.update(action, taken_ns, missing, present_ns)
+            self._acted, self._decides_ns = int(action), ended_ns + round(since_ns * task.clock_speed)
+            self._taken_ns.extend([*taken_ns, *[self._decides_ns] * missing])
         return now._replace(commands=now.commands + 1)
 
     def _fly_gap(self, client: FlightClient, gap: Mediation) -> None:
@@ -349,8 +351,10 @@ class FlightEnv(gymnasium.Env[Observation, Action], Generic[TaskT]):
             stopwatch.switch(phase)
 
     def _observation(self) -> Observation:
-        context = () if self._context is None else (self._context.observe(),)
-        frames = np.concatenate([*self._frames, *context])
+        frames = np.concatenate(self._frames)
+        if self._context is not None:
+            ages_ns = self._decides_ns - np.array([self._taken_ns])
+            frames = np.concatenate([frames, *self._context.observe(np.array([self._acted]), ages_ns)])
         if not self.task.also_state:
             return frames
         state = np.zeros(self._told, np.float32)

@@ -285,7 +285,7 @@ class Judge:
         """Return frames with the task's context planes (envs/sensors) behind them."""
         if self._context is None:
             return frames
-        return namespace_of(frames).concatenate([frames, self._context.observe_many(actions, ages_ns)], 1)
+        return namespace_of(frames).concatenate([frames, self._context.observe(actions, ages_ns)], 1)
 
     # --- what is reported -------------------------------------------------------------------------
 

@@ -7,7 +7,6 @@ them there may be context planes.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections import deque
 from collections.abc import Callable, Sequence
 from typing import Literal
 
@@ -143,32 +142,14 @@ class ContextPlanes:
     """
 
     def __init__(self, knows: Sequence[ContextKind], headings_deg: Sequence[float], frames: int) -> None:
-        self.knows, self._frames = tuple(knows), frames
-        count = len(headings_deg)
+        self.knows, count = tuple(knows), len(headings_deg)
         self._action_planes = np.full((count + 1, *SIZE), NEUTRAL_LEVEL, np.uint8)
         for action, rank in enumerate(np.argsort(np.argsort(headings_deg)).tolist()):
             self._action_planes[action, :, _part(SIZE[1], rank, count)] = FULL_LEVEL
         bands = np.array_split(np.arange(SIZE[0]), frames)
         self._frame_of_row = np.repeat(np.arange(frames), [len(rows) for rows in bands])
-        self.start(0)
 
-    def start(self, time_ns: int) -> None:
-        """Begin a game at that simulated time: all frames are from its start, and there is no last action."""
-        self._action, self._now_ns = NO_ACTION, time_ns
-        self._taken_ns = deque([time_ns] * self._frames, maxlen=self._frames)
-
-    def update(self, action: int, taken_ns: Sequence[int], missing: int, now_ns: int) -> None:
-        """Note a command: when its frames were taken, how many are missing, and the present time, all simulated."""
-        self._action, self._now_ns = int(action), now_ns
-        self._taken_ns.extend([*taken_ns, *[now_ns] * missing])
-
-    def observe(self) -> NDArray[np.uint8]:
-        """Return the present planes."""
-        ages_ns = self._now_ns - np.array(self._taken_ns)
-        planes: NDArray[np.uint8] = self.observe_many(np.array([self._action]), ages_ns[None])[0]
-        return planes
-
-    def observe_many(self, actions: Number, ages_ns: Number) -> Number:
+    def observe(self, actions: Number, ages_ns: Number) -> Number:
         """Return the planes (n, planes, 36, 64) of n games: of their last actions (n,) and frames' ages (n, frames)."""
         xp, shown = namespace_of(actions), constant(self._action_planes, actions)[actions]
         levels = NEUTRAL_LEVEL + (ages_ns // AGE_LEVEL_NS).clip(0, FULL_LEVEL - NEUTRAL_LEVEL)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import sys
-from functools import cached_property
+from functools import cached_property, partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -19,8 +19,7 @@ from uavaccel.fly.turns import TURN_POLL_NS, Turns
 from uavaccel.units import NS_PER_S
 
 if TYPE_CHECKING:
-    from uavaccel.airsim.connection import Future
-    from uavaccel.wire.rpc import Received
+    from uavaccel.wire.rpc import Future, Received
     from uavaccel.wire.settings import Settings
     from uavaccel.wire.transport import PendingCall
 
@@ -195,44 +194,37 @@ class SimulatedFlight:
     # --- a Connection of the client ---------------------------------------------------------------
 
     def call(self, method: str, *params: object) -> Received:
-        call, number = self._send(method, params, blocking=True)
-        self._wait(call, number)
-        return call.result()
+        return self._send(method, params, blocking=True).get()
 
     def call_async(self, method: str, *params: object) -> Future:
-        from uavaccel.airsim.connection import Future
-
-        call, number = self._send(method, params, blocking=False)
-        return Future(method, lambda future: self._join(future, call, number))
+        return self._send(method, params, blocking=False)
 
     def close(self) -> None:
         pass
 
-    def _send(self, method: str, params: tuple[object, ...], blocking: bool) -> tuple[PendingCall, int]:
+    def _send(self, method: str, params: tuple[object, ...], blocking: bool) -> PendingCall:
         from uavaccel.airsim.connection import as_sent
 
-        self._check_process()
-        self._turns.check_thread()
-        if self._over:
-            raise FlightOver
+        self._check_caller()
         self._stop_at_the_end()
         self._calls_since_wait += 1
         self._clock.charge(self._think_ns + (self._poll_ns if self._calls_since_wait > FREE_CALLS else 0))
         sent, world = [as_sent(value) for value in params], self._world
         number = self._log.call(self._clock.now_ns(), world.simulation.time_ns, method, sent)
-        return world.transport.send(method, sent, blocking), number
+        call = world.transport.send(method, sent, blocking)
+        call.wait = partial(self._wait, number=number)  # an error has been reported as a refusal
+        return call
 
-    def _join(self, future: Future, call: PendingCall, number: int) -> None:
+    def _check_caller(self) -> None:
         self._check_process()
         self._turns.check_thread()
         if self._over:
             raise FlightOver
-        self._wait(call, number)
-        future.answer(call.error, call.value)  # an error has been reported as a refusal
 
     def _wait(self, call: PendingCall, number: int) -> None:
         from uavaccel.airsim.connection import as_received
 
+        self._check_caller()
         if call.deferred is not None:
             self._calls_since_wait = 0
         patient_until_ns: int | None = self._clock.now_ns() + self._patience_ns
@@ -254,8 +246,8 @@ class SimulatedFlight:
                 expected_ns = now_ns + TURN_POLL_NS if event_ns is None else max(now_ns, event_ns)
                 wake_ns = earliest(expected_ns, self._until_ns) or now_ns
                 self._turns.wait_until(wake_ns, call.ended_early)  # another thread's time has come
-        call.value = as_received(call.value)
-        self._log.answer(number, call.reply_wall_ns or 0, call.error, call.value)
+        call.result = as_received(call.result)
+        self._log.answer(number, call.reply_wall_ns or 0, call.error, call.result)
 
     def _outlive(self) -> None:
         """Wait for the script's other threads, except daemons, when its first one is done."""

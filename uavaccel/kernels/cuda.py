@@ -10,7 +10,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
-from types import SimpleNamespace
+from types import FunctionType, SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -21,7 +21,7 @@ from numba.cuda.core import caching
 from numba.cuda.extending import overload
 from numba.np.numpy_support import from_dtype
 
-from uavaccel.kernels import clutter_games, lane_clocks, lane_games, lanes, touching
+from uavaccel.kernels import clutter_games, lanes, touching
 from uavaccel.kernels import cuda_views as views
 from uavaccel.kernels.clutter_games import put_in_both
 from uavaccel.kernels.cuda_views import BLOCKS as BLOCKS
@@ -30,8 +30,8 @@ from uavaccel.kernels.cuda_views import DEALING_THREADS, WARP, WHOLE_WARP, sum_c
 from uavaccel.kernels.cuda_views import SEEING_THREADS as SEEING_THREADS
 from uavaccel.kernels.cuda_views import SEEING_THREADS_A_LANE as SEEING_THREADS_A_LANE
 from uavaccel.kernels.cuda_views import SLOTS as SLOTS
-from uavaccel.kernels.cuda_views import Plan as Plan
 from uavaccel.kernels.fields import Operand
+from uavaccel.kernels.lane_clocks import LAUNCHED
 from uavaccel.kernels.lane_games import OF_LAYOUT
 from uavaccel.kernels.lanes import NEXT_CHECK, TOUCHED, fly_ticks
 from uavaccel.kernels.scene import LOOSE, add_to, sort_cell, visit
@@ -94,95 +94,23 @@ for _function, _chosen in touching.BY_TYPE:
     overload(_function)(_chosen)
 
 
-# --- one thread a lane, for every lane whose flag in the first argument (L,) is set --------------------------------
+# --- one thread a lane -----------------------------------------------------------------------------------------------
+
+work: Any = None
+"""The part that a kernel calls, a global of each one's own: a part in a closure would have another key in each process,
+by which numba's cache would not find the kernel again."""
 
 
-def begin(which, rows, games, now):  # type: ignore[no-untyped-def]
-    """Begin the games in `rows` (L,)."""
+def _each_lane(which, arguments):  # type: ignore[no-untyped-def]
+    """Work for every lane whose flag in `which` (L,) is set."""
     lane = cuda.grid(1)
     if lane < len(which) and which[lane] != 0:
-        lanes.begin(lane, rows[lane], games, now)
-        lanes.refresh(games.parameters[rows[lane]], now.state[lane], now.body[lane])
+        work(lane, *arguments)
 
 
-def deal(which, distribution, deals, games):  # type: ignore[no-untyped-def]
-    """Sample the next game of the obstacle lane into the lane's row."""
-    lane = cuda.grid(1)
-    if lane < len(which) and which[lane] != 0:
-        lane_games.deal(lane, distribution, deals, games)
-
-
-def command(which, goals, modes, now):  # type: ignore[no-untyped-def]
-    """Apply the goals (L, 4)."""
-    lane = cuda.grid(1)
-    if lane < len(which) and which[lane] != 0:
-        lanes.command(lane, goals, modes, now)
-
-
-def resume(which, before, share, games, now):  # type: ignore[no-untyped-def]
-    """Let the vehicles fly on from where they are as they did `before`, in Flights."""
-    lane = cuda.grid(1)
-    if lane < len(which) and which[lane] != 0:
-        lanes.resume(lane, lane, before.state, before.body, share, games, now)
-
-
-def begin_clocks(which, rows, scales, games, timing, clocks):  # type: ignore[no-untyped-def]
-    """Do as `lane_clocks.begin`, as the kernels after it do as the functions of their names there."""
-    lane = cuda.grid(1)
-    if lane < len(which) and which[lane] != 0:
-        lane_clocks.begin(lane, rows[lane], scales[rows[lane]], games, timing, clocks)
-
-
-def show_start(which, levels, timing, clocks):  # type: ignore[no-untyped-def]
-    lane = cuda.grid(1)
-    if lane < len(which) and which[lane] != 0:
-        lane_clocks.show_start(lane, levels, timing, clocks)
-
-
-def issue(which, now, timing, clocks, legs):  # type: ignore[no-untyped-def]
-    lane = cuda.grid(1)
-    if lane < len(which) and which[lane] != 0:
-        lane_clocks.issue(lane, now, timing, clocks, legs)
-
-
-def take(which, hold_ticks, goals, modes, now):  # type: ignore[no-untyped-def]
-    lane = cuda.grid(1)
-    if lane < len(which) and which[lane] != 0:
-        lane_clocks.take(lane, hold_ticks, goals, modes, now)
-
-
-def reach(which, sample, now, timing, clocks, looking, legs):  # type: ignore[no-untyped-def]
-    """Do as `lane_clocks.reach`; `looking` (L,) becomes 0 in all other lanes."""
-    lane = cuda.grid(1)
-    if lane < len(which):
-        looking[lane] = 0
-        if which[lane] != 0:
-            lane_clocks.reach(lane, sample, now, timing, clocks, looking, legs)
-
-
-def leave(which, sample, levels, now, timing, clocks):  # type: ignore[no-untyped-def]
-    lane = cuda.grid(1)
-    if lane < len(which) and which[lane] != 0:
-        lane_clocks.leave(lane, sample, levels, now, timing, clocks)
-
-
-def split(which, now, clocks, legs, to_shown):  # type: ignore[no-untyped-def]
-    lane = cuda.grid(1)
-    if lane < len(which) and which[lane] != 0:
-        lane_clocks.split(lane, now, clocks, legs, to_shown)
-
-
-def save_shown(which, now, clocks, to_shown):  # type: ignore[no-untyped-def]
-    """Do as `lane_clocks.save_shown`, in lanes that have reached the pose to be shown."""
-    lane = cuda.grid(1)
-    if lane < len(which) and which[lane] != 0 and to_shown[lane] >= 0:
-        lane_clocks.save_shown(lane, now, clocks)
-
-
-def turn_to_shown(which, now, clocks):  # type: ignore[no-untyped-def]
-    lane = cuda.grid(1)
-    if lane < len(which) and which[lane] != 0:
-        lane_clocks.turn_to_shown(lane, now, clocks)
+def _of_lanes(name: str, part: Any) -> FunctionType:
+    code = _each_lane.__code__.replace(co_name=name, co_qualname=name)
+    return FunctionType(code, {**globals(), "work": part}, name)
 
 
 # --- worlds of clutter, DEALING_THREADS a lane -----------------------------------------------------------------------
@@ -317,11 +245,8 @@ def flying(nominal: Operand) -> Any:
     return fly
 
 
-KERNELS = (
-    *(begin, deal, command, resume, begin_clocks, show_start, issue, take, reach, leave, split, save_shown),
-    *(turn_to_shown, deal_clutter, *views.KERNELS),
-)
-LIMITS = {"see": 72, "look": 64, "cast_depth": 64, "cast_colour": 80, "cast_gray": 64, "cast_events": 64}
+KERNELS = (*(_of_lanes(*each) for each in LAUNCHED.items()), deal_clutter, *views.KERNELS)
+LIMITS = {"see": 72, "look": 64, "cast_depth": 64, "cast_colour": 80, "cast_gray": 64, "see_gray": 64}
 """Registers per thread: fewer of them let more threads wait for memory at the same time."""
 SOURCES = sources(__name__)  # of which numba notices changes of this file and of kernels/cuda_views alone
 

@@ -1,12 +1,10 @@
 """Cameras of lanes on one GPU, as CUDA kernels; in all of them `going` (L,) says which lanes observe.
 
-In the lane's pictures one thread resolves visibility in a column, and one shades 4 x 2 pixels and computes their
-events; in other scenes a thread casts a pixel's ray.
+In the lane's pictures one thread resolves visibility in a column, and one shades 4 x 2 pixels; in other scenes a thread
+casts a pixel's ray. Event cameras see gray pictures of either; those of the lane without noise compute events at once.
 """
 
 from __future__ import annotations
-
-from typing import NamedTuple
 
 import numpy as np
 from numba import cuda, types
@@ -16,7 +14,6 @@ from uavaccel.kernels import casting, events, tiles
 from uavaccel.kernels import fields as at
 from uavaccel.kernels.faces import begin as begin_faces
 from uavaccel.kernels.faces import project_solid, view_of
-from uavaccel.kernels.fields import Operand
 from uavaccel.kernels.lanes import EVENT_SEED, PICTURE_SEED
 from uavaccel.kernels.quads import (
     BELOW,
@@ -63,16 +60,6 @@ def _raise_in_turn(numbers, place, least):  # type: ignore[no-untyped-def]
 
 for _function, _chosen in events.BY_TYPE:
     overload(_function)(_signed_count if _function is signed_count else _chosen)
-
-
-class Plan(NamedTuple):
-    """Arrays that all lanes share: the hull, and what images and events are computed from."""
-
-    hull: Operand
-    texels: Operand
-    textures: Operand
-    appearance: Operand
-    sensor: Operand
 
 
 @cuda.jit(device=True)
@@ -188,7 +175,7 @@ def pixels_of_thread():  # type: ignore[no-untyped-def]
 
 
 @cuda.jit(device=True)
-def grey_quad(faces, shown, first, plan, y, x):  # type: ignore[no-untyped-def]
+def grey_quad(faces, shown, first, looks, y, x):  # type: ignore[no-untyped-def]
     """Return the luma of a quad; `first` is its first pixel's index over all lanes (quads.update_quad)."""
     quad = (
         np.int32(shown[0, 0, first]),
@@ -196,76 +183,44 @@ def grey_quad(faces, shown, first, plan, y, x):  # type: ignore[no-untyped-def]
         np.int32(shown[0, 0, first + BELOW]),
         np.int32(shown[0, 0, first + BELOW + RIGHT]),
     )
-    return quad_lumas(faces, quad, plan.texels, plan.textures, y, x)
+    return quad_lumas(faces, quad, looks.texels, looks.textures, y, x)
 
 
-@cuda.jit(device=True)
-def noisy_quad(levels, camera, seeds, moment_ns, y, x):  # type: ignore[no-untyped-def]
-    """Return a quad's levels with read noise."""
-    value = y * at.COLUMNS + x
-    return (
-        np.int32(noisy_at(levels[0], camera, seeds, moment_ns, value)),
-        np.int32(noisy_at(levels[1], camera, seeds, moment_ns, value + 1)),
-        np.int32(noisy_at(levels[2], camera, seeds, moment_ns, value + at.COLUMNS)),
-        np.int32(noisy_at(levels[3], camera, seeds, moment_ns, value + at.COLUMNS + 1)),
-    )
-
-
-def start(going, faces, shown, plan, games, now, pixels):  # type: ignore[no-untyped-def]
-    """Initialise the event cameras of the lanes that are `going` with their first image, which causes no events."""
+def draw_gray(going, faces, shown, looks, gray):  # type: ignore[no-untyped-def]
+    """Write luma `gray` (L, 144, 256) uint8 of the lanes that are `going`."""
     lane, y, x = pixels_of_thread()
     if lane >= np.uintp(len(going)) or going[lane] == 0:
         return
-    game = now.game[lane]
-    camera = camera_of(games, game)
     for half in range(2):
         top = np.int32(y + 2 * half)
         first = lane * PIXELS_A_LANE + np.uintp(top * at.COLUMNS + x)
-        levels = grey_quad(faces[lane], shown, first, plan, top, x)
-        if camera[events.READ] > 0.0:
-            levels = noisy_quad(levels, camera, games.seeds[game], 0, top, x)
-        start_pixel(levels[0], camera, plan.sensor, pixels, lane, np.uintp(top), np.uintp(x))
-        start_pixel(levels[1], camera, plan.sensor, pixels, lane, np.uintp(top), np.uintp(x + 1))
-        start_pixel(levels[2], camera, plan.sensor, pixels, lane, np.uintp(top + 1), np.uintp(x))
-        start_pixel(levels[3], camera, plan.sensor, pixels, lane, np.uintp(top + 1), np.uintp(x + 1))
-    if x % BLOCK_SIDE == 0:
-        pixels.gathered[lane, np.uintp(y // BLOCK_SIDE), np.uintp(x // BLOCK_SIDE)] = 0
-    if x == 0 and y == 0:
-        pixels.clock[lane], pixels.time_s[lane] = 0, 0.0
+        levels = grey_quad(faces[lane], shown, first, looks, top, x)
+        gray[0, 0, first], gray[0, 0, first + RIGHT] = levels[0], levels[1]
+        gray[0, 0, first + BELOW], gray[0, 0, first + BELOW + RIGHT] = levels[2], levels[3]
 
 
-@cuda.jit(device=True)
-def start_pixel(level, camera, sensor, pixels, lane, row, column):  # type: ignore[no-untyped-def]
-    """Initialise a pixel with its first grey level."""
-    log = sensor.logs[np.uint32(level)]
-    pixels.base[lane, row, column] = log
-    if pixels.filtered.size:
-        pixels.filtered[lane, row, column] = log
-    if pixels.last_s.size:
-        pixels.last_s[lane, row, column] = -np.float32(camera[events.REFRACTORY])
+def see(going, take, faces, shown, looks, sensor, games, now, pixels, frames):  # type: ignore[no-untyped-def]
+    """Compute the events of cameras without noise; if `take`, move the blocks' sums to `frames` (L, 36, 64).
 
-
-@cuda.jit(device=True)
-def noisy_pair(levels, camera, sensor, base, filtered, noise, y, x, moment, rest):  # type: ignore[no-untyped-def]
-    """Return ON minus OFF events of two adjacent pixels of a camera with noise or a low-pass filter."""
-    normals, draws = events.block_draws(camera, noise[0], noise[1], (y * at.COLUMNS + x) // BLOCK_SIDE)
-    later = x % BLOCK_SIDE != 0
-    first = (normals[2], draws[2]) if later else (normals[0], draws[0])
-    second = (normals[3], draws[3]) if later else (normals[1], draws[1])
-    signed = events.update_pixel(levels[0], camera, sensor, base, filtered, first, y, x, moment, rest)
-    return signed + events.update_pixel(levels[1], camera, sensor, base, filtered, second, y, x + 1, moment, rest)
-
-
-@cuda.jit(device=True)
-def moment_of(lane, moment_ns, pixels):  # type: ignore[no-untyped-def]
-    """Return the lane, and the times of its camera's last frame and of this one (events.update_pixel)."""
-    return lane, pixels.time_s[lane], events.seconds(moment_ns)
-
-
-@cuda.jit(device=True)
-def add_to_block(total, take, lane, y, x, pixels, frames):  # type: ignore[no-untyped-def]
-    """Add the events of this thread and its neighbour to their block; if `take`, move its sum to `frames`."""
-    total = np.int32(total + cuda.shfl_xor_sync(WHOLE_WARP, total, 1))
+    It does as `draw_gray`, `see_gray` and `take_frames` together, and writes no picture.
+    """
+    lane, y, x = pixels_of_thread()
+    if lane >= np.uintp(len(going)) or going[lane] == 0:
+        return
+    if now.state[lane].collision_tick != NEVER:
+        if take != 0 and x % BLOCK_SIDE == 0:
+            frames[lane, np.uintp(y // BLOCK_SIDE), np.uintp(x // BLOCK_SIDE)] = NEUTRAL_LEVEL
+        return
+    camera, own, base, total = camera_of(games, now.game[lane]), faces[lane], pixels.base, np.int32(0)
+    for half in range(2):
+        top = np.int32(y + 2 * half)
+        place = np.uintp(np.uint32(top * at.COLUMNS + x))
+        first = lane * PIXELS_A_LANE + place
+        before = (base[0, 0, first], base[0, 0, first + RIGHT])
+        under = (base[0, 0, first + BELOW], base[0, 0, first + BELOW + RIGHT])
+        levels = grey_quad(own, shown, first, looks, top, x)
+        total = np.int32(total + update_quad(levels, before + under, camera, sensor, base, first, place))
+    total = np.int32(total + cuda.shfl_xor_sync(WHOLE_WARP, total, 1))  # with the neighbour's, those of a block
     if x % BLOCK_SIDE == 0:
         across, down = np.uintp(x // BLOCK_SIDE), np.uintp(y // BLOCK_SIDE)
         total = np.int32(total + pixels.gathered[lane, down, across])
@@ -274,62 +229,7 @@ def add_to_block(total, take, lane, y, x, pixels, frames):  # type: ignore[no-un
         pixels.gathered[lane, down, across] = 0 if take != 0 else total
 
 
-def see(going, take, faces, shown, plan, games, now, pixels, frames):  # type: ignore[no-untyped-def]
-    """Compute the events of cameras without noise; if `take`, move the blocks' sums to `frames` (L, 36, 64)."""
-    lane, y, x = pixels_of_thread()
-    if lane >= np.uintp(len(going)) or going[lane] == 0:
-        return
-    if now.state[lane].collision_tick != NEVER:
-        if take != 0 and x % BLOCK_SIDE == 0:
-            frames[lane, np.uintp(y // BLOCK_SIDE), np.uintp(x // BLOCK_SIDE)] = NEUTRAL_LEVEL
-        return
-    camera = camera_of(games, now.game[lane])
-    if not events.is_plain(camera, pixels.filtered.size):
-        return
-    own, base, total = faces[lane], pixels.base, np.int32(0)
-    for half in range(2):
-        top = np.int32(y + 2 * half)
-        place = np.uintp(np.uint32(top * at.COLUMNS + x))
-        first = lane * PIXELS_A_LANE + place
-        before = (base[0, 0, first], base[0, 0, first + RIGHT])
-        under = (base[0, 0, first + BELOW], base[0, 0, first + BELOW + RIGHT])
-        levels = grey_quad(own, shown, first, plan, top, x)
-        total = np.int32(total + update_quad(levels, before + under, camera, plan.sensor, base, first, place))
-    add_to_block(total, take, lane, y, x, pixels, frames)
-
-
-def see_noise(going, tick_ns, take, faces, shown, plan, games, now, pixels, frames, rest):  # type: ignore[no-untyped-def]
-    """Do as `see` for cameras that are not plain, in a kernel apart: it needs more registers (events.Rest)."""
-    lane, y, x = pixels_of_thread()
-    if lane >= np.uintp(len(going)) or going[lane] == 0 or now.state[lane].collision_tick != NEVER:
-        return
-    game = now.game[lane]
-    camera, seeds = camera_of(games, game), games.seeds[game]
-    if events.is_plain(camera, pixels.filtered.size):
-        return
-    base, total, moment_ns = pixels.base[lane], np.int32(0), now.state[lane].tick * tick_ns
-    filtered = pixels.filtered[lane] if pixels.filtered.size else pixels.filtered[0:0, 0]
-    moment, noise = moment_of(lane, moment_ns, pixels), (seeds[EVENT_SEED], pixels.clock[lane] + 1)
-    for half in range(2):
-        top = np.int32(y + 2 * half)
-        first = lane * PIXELS_A_LANE + np.uintp(top * at.COLUMNS + x)
-        levels = grey_quad(faces[lane], shown, first, plan, top, x)
-        if camera[events.READ] > 0.0:
-            levels = noisy_quad(levels, camera, seeds, moment_ns, top, x)
-        total += noisy_pair(levels[0:2], camera, plan.sensor, base, filtered, noise, top, x, moment, rest)
-        total += noisy_pair(levels[2:4], camera, plan.sensor, base, filtered, noise, top + 1, x, moment, rest)
-    add_to_block(np.int32(total), take, lane, y, x, pixels, frames)
-
-
-def finish(going, tick_ns, now, pixels):  # type: ignore[no-untyped-def]
-    """Advance the clocks of the lanes' event cameras, after `see` has finished in all blocks."""
-    lane = cuda.grid(1)
-    if lane < len(going) and going[lane] != 0 and now.state[lane].collision_tick == NEVER:
-        pixels.clock[lane] += 1
-        pixels.time_s[lane] = now.state[lane].tick * tick_ns * events.NS
-
-
-def show(going, kind, tick_ns, faces, shown, plan, games, now, frames):  # type: ignore[no-untyped-def]
+def show(going, kind, tick_ns, faces, shown, looks, games, now, frames):  # type: ignore[no-untyped-def]
     """Write colour or depth frames (L, channels, 36, 64), means over blocks of 4 x 4 pixels; 0 after a collision."""
     thread = cuda.grid(1)
     lane, block = thread // BLOCKS, thread % BLOCKS
@@ -346,7 +246,7 @@ def show(going, kind, tick_ns, faces, shown, plan, games, now, frames):  # type:
             w = linear(faces[lane], face, at.W, np.float32(x), np.float32(y)) if face else faces[lane, 0, at.FAR_W]
             depth_sum += min(np.float32(1.0) / w, at.SEEN_FAR_M)
         else:
-            red, green, blue = colour_of(faces[lane], face, plan.texels, plan.textures, y, x)
+            red, green, blue = colour_of(faces[lane], face, looks.texels, looks.textures, y, x)
             if camera[events.READ] > 0.0:
                 value = 3 * (y * at.COLUMNS + x)
                 red = noisy_at(int(red), camera, seeds, moment_ns, value)
@@ -362,24 +262,7 @@ def show(going, kind, tick_ns, faces, shown, plan, games, now, frames):  # type:
     frames[lane, 2, down, across] = round(blue_sum / number) if free else 0
 
 
-def add_grey(going, faces, shown, plan, sums):  # type: ignore[no-untyped-def]
-    """Add the grey levels of each lane's image to column 0 of `sums` (L, 3) int64."""
-    lane, y, x = pixels_of_thread()
-    if lane >= np.uintp(len(going)) or going[lane] == 0:
-        return
-    total = np.int32(0)
-    for half in range(2):
-        top = np.int32(y + 2 * half)
-        first = lane * PIXELS_A_LANE + np.uintp(top * at.COLUMNS + x)
-        levels = grey_quad(faces[lane], shown, first, plan, top, x)
-        total += np.int32(levels[0] + levels[1] + levels[2] + levels[3])
-    for distance in (1, 2, 4, 8, 16):
-        total += np.int32(cuda.shfl_xor_sync(WHOLE_WARP, total, distance))
-    if cuda.laneid == 0:
-        cuda.atomic.add(sums, (lane, 0), np.int64(total))
-
-
-def add_colours(going, faces, shown, plan, sums):  # type: ignore[no-untyped-def]
+def add_colours(going, faces, shown, looks, sums):  # type: ignore[no-untyped-def]
     """Add red, green and blue of each lane's image to `sums` (L, 3) int64: one thread per column."""
     thread = cuda.grid(1)
     lane, column = thread // at.COLUMNS, thread % at.COLUMNS
@@ -388,7 +271,7 @@ def add_colours(going, faces, shown, plan, sums):  # type: ignore[no-untyped-def
     red_sum = green_sum = blue_sum = 0
     for row in range(at.ROWS):
         face = np.int32(shown[lane, row, column])
-        red, green, blue = colour_of(faces[lane], face, plan.texels, plan.textures, row, column)
+        red, green, blue = colour_of(faces[lane], face, looks.texels, looks.textures, row, column)
         red_sum, green_sum, blue_sum = red_sum + int(red), green_sum + int(green), blue_sum + int(blue)
     cuda.atomic.add(sums, (lane, 0), np.int64(red_sum))
     cuda.atomic.add(sums, (lane, 1), np.int64(green_sum))
@@ -544,6 +427,9 @@ def cast_gray(going, looks, games, now, sight, gray):  # type: ignore[no-untyped
         gray[lane, y, x] = luma_of(red, green, blue)
 
 
+# --- event cameras, of gray pictures ------------------------------------------------------------------------------
+
+
 @cuda.jit(device=True)
 def noisy_gray(gray, lane, y, x, tick_ns, games, now):  # type: ignore[no-untyped-def]
     """Return a pixel's grey level, with read noise."""
@@ -555,21 +441,26 @@ def noisy_gray(gray, lane, y, x, tick_ns, games, now):  # type: ignore[no-untype
     return level
 
 
-def start_cast(going, gray, sensor, games, now, pixels):  # type: ignore[no-untyped-def]
+def start_events(going, gray, sensor, games, now, pixels):  # type: ignore[no-untyped-def]
     """Initialise the event cameras of the lanes that are `going` with their first image, which causes no events."""
     rows, columns, side = gray.shape[1], gray.shape[2], divided(gray.shape[1], pixels.gathered.shape[1])
     lane, y, x = pixel_of_thread(rows, columns)
     if lane >= np.uintp(len(going)) or going[lane] == 0 or y >= rows or x >= columns:
         return
     level, camera = noisy_gray(gray, lane, y, x, 0, games, now), camera_of(games, now.game[lane])
-    start_pixel(level, camera, sensor, pixels, lane, y, x)
+    log = sensor.logs[np.uint32(level)]
+    pixels.base[lane, y, x] = log
+    if pixels.filtered.size:
+        pixels.filtered[lane, y, x] = log
+    if pixels.last_s.size:
+        pixels.last_s[lane, y, x] = -np.float32(camera[events.REFRACTORY])
     if (y | x) & (side - 1) == 0:
         pixels.gathered[lane, divided(y, side), divided(x, side)] = 0
     if y == 0 and x == 0:
         pixels.clock[lane], pixels.time_s[lane] = 0, 0.0
 
 
-def cast_events(going, tick_ns, gray, sensor, games, now, pixels, rest):  # type: ignore[no-untyped-def]
+def see_gray(going, tick_ns, gray, sensor, games, now, pixels, rest):  # type: ignore[no-untyped-def]
     """Compute the events of the lanes that are `going`, BLOCK_SIDE pixels a thread, and add them to their blocks'."""
     rows, columns, side = gray.shape[1], gray.shape[2], divided(gray.shape[1], pixels.gathered.shape[1])
     thread, threads = np.uint32(cuda.grid(1)), np.uint32((rows * columns + BLOCK_SIDE - 1) // BLOCK_SIDE)
@@ -579,7 +470,7 @@ def cast_events(going, tick_ns, gray, sensor, games, now, pixels, rest):  # type
     game, block = now.game[lane], np.uint32(thread - np.uint32(lane) * threads)
     y = divided(block * np.uint32(BLOCK_SIDE), columns)
     x, camera = np.uint32(block * np.uint32(BLOCK_SIDE) - y * np.uint32(columns)), camera_of(games, game)
-    moment = moment_of(lane, now.state[lane].tick * tick_ns, pixels)
+    moment = lane, pixels.time_s[lane], events.seconds(now.state[lane].tick * tick_ns)
     normals, draws = events.block_draws(camera, games.seeds[game, EVENT_SEED], pixels.clock[lane] + 1, int(block))
     filtered = pixels.filtered[lane] if pixels.filtered.size else pixels.filtered[0:0, 0]
     for number in range(BLOCK_SIDE):
@@ -595,6 +486,14 @@ def cast_events(going, tick_ns, gray, sensor, games, now, pixels, rest):  # type
             x, y = np.uint32(0), np.uint32(y + np.uint32(1))
 
 
+def finish(going, tick_ns, now, pixels):  # type: ignore[no-untyped-def]
+    """Advance the clocks of the lanes' event cameras, after their events have been computed in all blocks."""
+    lane = cuda.grid(1)
+    if lane < len(going) and going[lane] != 0 and now.state[lane].collision_tick == NEVER:
+        pixels.clock[lane] += 1
+        pixels.time_s[lane] = now.state[lane].tick * tick_ns * events.NS
+
+
 def take_frames(going, now, pixels, frames):  # type: ignore[no-untyped-def]
     """Move the events since the last call to `frames` (L, rows, columns) of the lanes that are `going`."""
     rows, columns = frames.shape[1], frames.shape[2]
@@ -608,6 +507,6 @@ def take_frames(going, now, pixels, frames):  # type: ignore[no-untyped-def]
 
 
 KERNELS = (
-    *(project, find, start, see, see_noise, finish, show, add_grey, add_colours),
-    *(look, cast_depth, cast_colour, cast_gray, start_cast, cast_events, take_frames),
+    *(project, find, draw_gray, see, show, add_colours, look, cast_depth, cast_colour, cast_gray),
+    *(start_events, see_gray, finish, take_frames),
 )

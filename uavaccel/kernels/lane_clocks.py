@@ -1,4 +1,4 @@
-"""A lane's clock through a command, in steps between which a GPU flies all lanes together.
+"""A lane's game and command in steps, between which a GPU flies and observes all lanes together.
 
 The CPU flies each lane through a whole command instead. The functions are scalar; `lane` is the row in all arrays. The
 clock itself is in kernels/timeline.
@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from uavaccel.kernels import timeline
+from uavaccel.kernels import lane_games, lanes, timeline
 from uavaccel.kernels.fields import COLUMNS, ROWS, Operand
-from uavaccel.kernels.lanes import PICTURE_SEED, Flights, Games, command, touched
+from uavaccel.kernels.lanes import PICTURE_SEED, Flights, Games
 from uavaccel.kernels.timeline import Clocks, Timing
 from uavaccel.sim.parts import part
 from uavaccel.vision.guard import LUMA_WEIGHTS
@@ -20,10 +20,24 @@ PIXELS = ROWS * COLUMNS
 
 
 @part
-def begin(lane: int, game: int, scale: float, games: Games, timing: Timing, clocks: Clocks) -> None:
-    """Start the clock of a game and run it up to its first image."""
+def begin(lane: int, rows: Operand, games: Games, now: Flights) -> None:
+    """Begin the game in a row of `rows` (L,)."""
+    lanes.begin(lane, rows[lane], games, now)
+    lanes.refresh(games.parameters[rows[lane]], now.state[lane], now.body[lane])
+
+
+@part
+def resume(lane: int, before: Flights, share: float, games: Games, now: Flights) -> None:
+    """Let a vehicle fly on from where it is as it did `before`."""
+    lanes.resume(lane, lane, before.state, before.body, share, games, now)
+
+
+@part
+def begin_clocks(lane: int, rows: Operand, scales: Operand, games: Games, timing: Timing, clocks: Clocks) -> None:
+    """Start the clock of the game in a row of `rows` (L,) and run it up to its first image."""
+    scale = scales[rows[lane]]
     clocks.scale[lane], clocks.brightness[lane] = scale, np.nan
-    timeline.start(clocks.row[lane], scale, timing, games.seeds[game, PICTURE_SEED])
+    timeline.start(clocks.row[lane], scale, timing, games.seeds[rows[lane], PICTURE_SEED])
 
 
 @part
@@ -43,7 +57,7 @@ def issue(lane: int, now: Flights, timing: Timing, clocks: Clocks, legs: Operand
 @part
 def take(lane: int, hold_ticks: int, goals: Operand, modes: Operand, now: Flights) -> None:
     """Apply the command; position hold takes over after `hold_ticks` unless another one follows."""
-    command(lane, goals, modes, now)
+    lanes.command(lane, goals, modes, now)
     now.state[lane].hover_tick = now.state[lane].tick + hold_ticks
 
 
@@ -64,7 +78,7 @@ def reach(
 @part
 def leave(lane: int, sample: int, levels: Operand, now: Flights, timing: Timing, clocks: Clocks) -> None:
     """Continue after a sample; after a collision there is no image."""
-    row, hit, suspect = clocks.row[lane], touched(lane, now), False
+    row, hit, suspect = clocks.row[lane], lanes.touched(lane, now), False
     if not hit:
         clocks.ticks[lane, sample], clocks.taken[lane] = now.state[lane].tick, sample + 1
         suspect = guard(lane, levels, timing, clocks)
@@ -115,3 +129,13 @@ def guard(lane: int, levels: Operand, timing: Timing, clocks: Clocks) -> bool:
     if of_lane[1] >= 0:
         bright = RED * bright + GREEN * (of_lane[1] / PIXELS) + BLUE * (of_lane[2] / PIXELS)
     return timeline.is_suspect(lane, bright, clocks)
+
+
+LAUNCHED = {
+    each.py_func.__name__: each
+    for each in (
+        *(begin, lane_games.deal, lanes.command, resume, begin_clocks, show_start, issue, take, reach, leave, split),
+        *(save_shown, turn_to_shown),
+    )
+}
+"""What a GPU launches for a lane a thread, by the kernel's name."""

@@ -11,7 +11,7 @@ float64. `lanes` (D,) int32 has the row of `Scenes` that each drone is in. Row 0
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numba import njit, types
@@ -339,28 +339,20 @@ Poses = NDArray[np.float64]
 Lanes = NDArray[np.int32]
 
 
-def render_gray(
-    appearance: Appearance, scenes: Scenes, lanes: Lanes, positions: Poses, quaternions: Poses
-) -> NDArray[np.uint8]:
-    """Render luma (D, ROWS, COLUMNS) uint8, which OpenCV would compute from the colours."""
-    out = np.empty((len(lanes), at.ROWS, at.COLUMNS), np.uint8)
-    _render(appearance, scenes, lanes, positions, quaternions, out)
-    return out
+def render_lanes(
+    kind: Literal["gray", "colour", "depth"],
+    appearance: Appearance,
+    scenes: Scenes,
+    lanes: Lanes,
+    positions: Poses,
+    quaternions: Poses,
+) -> NDArray[Any]:
+    """Render what drones see (D, ROWS, COLUMNS, ...).
 
-
-def render_colour(
-    appearance: Appearance, scenes: Scenes, lanes: Lanes, positions: Poses, quaternions: Poses
-) -> NDArray[np.uint8]:
-    """Render red, green and blue (D, ROWS, COLUMNS, 3) uint8."""
-    out = np.empty((len(lanes), at.ROWS, at.COLUMNS, 3), np.uint8)
-    _render(appearance, scenes, lanes, positions, quaternions, out)
-    return out
-
-
-def render_depth(
-    appearance: Appearance, scenes: Scenes, lanes: Lanes, positions: Poses, quaternions: Poses
-) -> NDArray[np.float32]:
-    """Render depth (D, ROWS, COLUMNS) float32, metres along the optical axis; the sky is at the far plane."""
-    out = np.empty((len(lanes), at.ROWS, at.COLUMNS), np.float32)
+    It is luma uint8, which OpenCV would compute from the colours; red, green and blue (..., 3) uint8; or depth float32,
+    metres along the optical axis, where the sky is at the far plane.
+    """
+    channels = (3,) if kind == "colour" else ()
+    out = np.empty((len(lanes), at.ROWS, at.COLUMNS, *channels), np.float32 if kind == "depth" else np.uint8)
     _render(appearance, scenes, lanes, positions, quaternions, out)
     return out

@@ -13,7 +13,7 @@ import numpy as np
 
 from uavaccel.clock import calendar_time
 from uavaccel.errors import UserError
-from uavaccel.files import Plain, file_sha256, read_json, write_json
+from uavaccel.files import Plain, file_sha256
 from uavaccel.machine import host, version_of, versions
 from uavaccel.realtime.plant import counted
 from uavaccel.realtime.policies import ANSWER_S, load_policy
@@ -49,8 +49,7 @@ class Measurement:
         times.taken_ns = list(self.taken_ns)
         name = f"thinking times of {self.about['policy']['name']} in {self.about['environment']['id']}"
         measured = {"warm_up_us": [_us(each) for each in self.warm_up_ns], "drift_us": self.drift_us}
-        written = times.save(path, name)
-        return write_json(written, {**read_json(written), "measured": {**self.about, **measured}})
+        return times.save(path, name, measured={**self.about, **measured})
 
     def lines(self) -> Iterator[str]:
         """Yield what was measured, in words."""

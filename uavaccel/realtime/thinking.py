@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from uavaccel.clock import MonotonicClock
 from uavaccel.errors import UserError
-from uavaccel.files import read_bounded
+from uavaccel.files import Plain, read_bounded, write_json
 from uavaccel.units import NS_PER_S, QUANTILES, check_quantile_row, check_quantiles, real, seconds_to_ns, whole
 
 MEASURED: Final = "measured"
@@ -75,18 +75,16 @@ class Measured(ThinkingTime):
         self.taken_ns.append(self._clock.now_ns() - self._since_ns)
         return self.taken_ns[-1]
 
-    def save(self, path: str | Path, name: str = "measured thinking times") -> Path:
-        """Write the quantiles of all times so far as a calibration file, in JSON, which is YAML too.
+    def save(self, path: str | Path, name: str = "measured thinking times", **further: Plain) -> Path:
+        """Write the quantiles of all times so far as a calibration file, in JSON, which is YAML too, and further keys.
 
-        Raises UserError before the first action.
+        Raises UserError before the first action, and where no file can be written.
         """
         if not self.taken_ns:
             raise UserError(f"{path}: no thinking time has been measured yet; take some steps first")
         taken_us = np.quantile(np.asarray(self.taken_ns) / 1e3, QUANTILES).tolist()
         model = {"name": name, "quantiles": QUANTILES, "request_us": {"call": taken_us}}
-        written = Path(path)
-        written.write_text(json.dumps({"latency": model, "thinking_times": len(self.taken_ns)}, indent=1) + "\n")
-        return written
+        return write_json(Path(path), {"latency": model, "thinking_times": len(self.taken_ns), **further})
 
 
 def samples(times_s: Iterable[float]) -> ThinkingTime:

@@ -110,7 +110,7 @@ def with_env_id(mapping: Mapping[str, Any]) -> dict[str, Any]:
     name = keys.pop("class", None)
     if not isinstance(name, str):
         return dict(mapping)
-    return {**mapping, "env_id": only_task(name) if name.endswith(".py") else name, "task": keys}
+    return {**mapping, "env_id": only_task(name) if name.endswith(".py") else SHORT.get(name, name), "task": keys}
 
 
 def _of_the_environment(task: Any, handler: ValidatorFunctionWrapHandler, info: ValidationInfo) -> Any:

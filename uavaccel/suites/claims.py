@@ -7,7 +7,7 @@ and is undecided where it straddles an end of the margins, or where too few game
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from itertools import pairwise
 from typing import Any, NamedTuple
 
@@ -30,6 +30,7 @@ from uavaccel.sim.lane import LENGTH_M, Difficulty, sample_layout
 from uavaccel.suites import paper_results
 from uavaccel.suites.dp1 import CELL
 from uavaccel.suites.report import finished
+from uavaccel.suites.rl import Flights, success_of, where
 
 FloatArray = NDArray[np.float64]
 
@@ -371,69 +372,30 @@ def guard_keeps_out(dp2: Flown) -> Finding:
 # --- Trainings (section IV-D) -------------------------------------------------------------------------------------
 
 
-class Trainings(NamedTuple):
-    """Trainings without a variant, of one profile on the virtual clock, as a run of the suite `rl` has them."""
-
-    cells: pd.DataFrame
-    """A line for each training, with its times; `successes` of `games` of its policy in real time, and `won`, the
-    outcome of each lane, where it is known."""
-    interchange: pd.DataFrame
-    """The same successes of each training by the command that its policy was `flown_with`."""
-    lost: pd.DataFrame
-    """`ended_m`, distance north, of each evaluation game that ended before the goal, with `command`, `clock_speed`."""
-
-    @classmethod
-    def of(
-        cls, rows: Iterable[Mapping[str, Any]], profile: str, arrays: Callable[[Any], Mapping[str, NDArray[Any]]]
-    ) -> Trainings:
-        """Take a profile's from rows, and lanes from what `arrays` returns of one: {} of rows that were kept alone."""
-        cells, flown, lost = [], [], [pd.DataFrame()]
-        kind = {"profile": profile, "timing": "virtual", "variant": ""}.items()
-        for row in rows:
-            if not kind <= {key: row[key] for key, _ in kind}.items() or not row.get("training"):
-                continue  # rows without a training fly the same lanes in the exact simulator
-            training, kept = row["training"], arrays(row)
-            keys = {key: row[key] for key in ("command", "clock_speed")}
-            in_real_time = [
-                {
-                    **keys,
-                    "flown_with": flown_with["command"],
-                    **{key: flown_with[key] for key in ("successes", "games")},
-                    "won": kept.get(f"{flown_with['command']}_is_success"),
-                }
-                for flown_with in row["evaluations"]
-                if flown_with["clock_speed"] == row["evaluations"][0]["clock_speed"]
-            ]
-            flown += in_real_time
-            learned = {"trained_games": training["games"], **{key: training[key] for key in ("commands", "phase_s")}}
-            cells.append({**in_real_time[0], **learned})
-            if kept:
-                ended_m = kept[f"{row['command']}_distance_m"][~kept[f"{row['command']}_is_success"]]
-                lost.append(pd.DataFrame({**keys, "ended_m": ended_m}))
-        return cls(pd.DataFrame(cells), pd.DataFrame(flown), pd.concat(lost))
+def trainings(flights: Flights, profile: str) -> Flights:
+    """Return the flights in real time of a profile's policies, trained without a variant on the virtual clock."""
+    found = where(flights, profile=profile, timing="virtual", variant="", exact=False)
+    return found[found["at"].isin(found["at"][found.flight == 0])]
 
 
-def won(rl: Trainings, command: str, clock_speed: float) -> Success:
+def won(rl: Flights, command: str, clock_speed: float) -> Success:
     """Return the evaluation games won by each training. Raises as `games_won` does."""
-    return games_won(at(rl.cells, command, clock_speed), f"of {command.upper()} at {clock_speed:g}x")
+    return games_won(at(rl, command, clock_speed, flight=0), f"of {command.upper()} at {clock_speed:g}x")
 
 
-def games_won(cells: pd.DataFrame, of: str) -> Success:
+def games_won(flights: Flights, of: str) -> Success:
     """Return the games won by each training. Raises Undecided for too few games or trainings."""
-    known(cells[["successes", "games"]])
-    enough(cells.games.sum(), LEAST_GAMES, f"games {of}")
-    enough(len(cells), LEAST_TRAININGS, f"trainings {of}")
-    if "won" in cells and cells.won.notna().all():
-        return Success.on_lanes(cells.won.tolist())
-    return Success(tuple(Proportion.of(cell) for cell in cells[cells.games > 0].to_dict("records")))
+    enough(sum(success.games for success in flights.success), LEAST_GAMES, f"games {of}")
+    enough(len(flights), LEAST_TRAININGS, f"trainings {of}")
+    return success_of(flights)
 
 
 def command_s(
-    rl: Trainings, command: str, clock_speed: float, phases: Sequence[str], least: int = LEAST_TRAININGS
+    rl: Flights, command: str, clock_speed: float, phases: Sequence[str], least: int = LEAST_TRAININGS
 ) -> Estimate:
     """Return the modelled wall seconds of some phases per command, over trainings. Raises Undecided for too few."""
-    cells, of = at(rl.cells, command, clock_speed), f"of {command.upper()} at {clock_speed:g}x"
-    phases_s = known([[phase_s[phase] for phase in phases] for phase_s in cells.phase_s]).sum(axis=1)
+    cells, of = at(rl, command, clock_speed, flight=0), f"of {command.upper()} at {clock_speed:g}x"
+    phases_s = known(cells[list(phases)]).sum(axis=1)
     if known(cells[["trained_games", "commands"]]).min() <= 0:
         raise NoEvidence
     enough(cells.trained_games.sum(), LEAST_GAMES, f"training games {of}")
@@ -441,7 +403,7 @@ def command_s(
     return mean_estimate(phases_s / cells.commands)
 
 
-def training_speedup(rl: Trainings, clock_speed: float, phases: Sequence[str] = SIMULATION) -> Estimate:
+def training_speedup(rl: Flights, clock_speed: float, phases: Sequence[str] = SIMULATION) -> Estimate:
     """Return the speed-up of TCSC over ADSC in real time, the paper's baseline (section III-C3), per command."""
     accelerated = command_s(rl, "tcsc", clock_speed, phases)
     return ratio(command_s(rl, "adsc", 1.0, phases), accelerated)
@@ -471,7 +433,7 @@ def ratio_within(
     return Finding(text, within(kept.interval, MARGINS[margins]))
 
 
-def success_kept(rl: Trainings, real: tuple[str, float], other: tuple[str, float], margins: str) -> Finding:
+def success_kept(rl: Flights, real: tuple[str, float], other: tuple[str, float], margins: str) -> Finding:
     """The success of the trainings with a command at a ClockSpeed over that of real ones, which must be able to fly,
     lies within the MARGINS of this name.
     """
@@ -479,62 +441,61 @@ def success_kept(rl: Trainings, real: tuple[str, float], other: tuple[str, float
     return ratio_within(margins, f"{real[0].upper()} at {real[1]:g}x", won(rl, *real), accelerated)
 
 
-def adsc_fails_accelerated(rl: Trainings) -> Finding:
+def adsc_fails_accelerated(rl: Flights) -> Finding:
     """At each ClockSpeed above 1 an ADSC-trained policy keeps at most a third of the success of one trained at 1x."""
-    if not (clocks := sorted(k for k in set(at(rl.cells, "adsc").clock_speed) if k > 1)):
+    if not (clocks := sorted(k for k in set(at(rl, "adsc").clock_speed) if k > 1)):
         raise NoEvidence
     collapses = all_of(success_kept(rl, ("adsc", 1.0), ("adsc", k), "collapse").holds for k in clocks)
     return Finding(", ".join(f"{k:g}x {share(won(rl, 'adsc', k))}" for k in [1.0, *clocks]), collapses)
 
 
-def policy_flies_with_both(rl: Trainings) -> Finding:
+def policy_flies_with_both(rl: Flights) -> Finding:
     """Policies trained with TCSC in real time have equal success with both commands."""
-    flown = at(rl.interchange, "tcsc", 1.0)
-    tcsc, adsc = (games_won(at(flown, "tcsc", flown_with=name), f"with {name.upper()}") for name in ("tcsc", "adsc"))
+    tcsc, adsc = (games_won(at(rl, "tcsc", 1.0, **{"with": name}), f"with {name.upper()}") for name in ("tcsc", "adsc"))
     return ratio_within("alike", "TCSC at 1x", tcsc, adsc, "TCSC {} v ADSC {}: {}", same_policies=True)
 
 
-def lines_peak_at_obstacles(rl: Trainings) -> Finding:
+def lines_peak_at_obstacles(rl: Flights) -> Finding:
     """At each ClockSpeed, of TCSC's games that end before the goal more end within 1 m of a row of obstacles than the
     rows' share of the lane.
     """
-    if rl.lost.empty:
+    if (flown := at(rl, "tcsc", flight=0)).distance_m.isna().any():
         raise NoEvidence
     rows_m = np.unique(sample_layout(0, Difficulty()).x_m)
     by_chance, texts, peaks = len(rows_m) * 2.0 / LENGTH_M, [], []
-    for k in sorted(set(at(rl.cells, "tcsc").clock_speed)):
+    for k, own in flown.groupby("clock_speed"):
         won(rl, "tcsc", k)  # enough games
-        lost = rl.lost[(rl.lost.command == "tcsc") & (rl.lost.clock_speed == k)]
-        if lost.empty:
+        ended_m = np.concatenate([each.distance_m[~each.won.to_numpy(bool)] for each in own.itertuples()])
+        if not len(ended_m):
             raise Undecided(f"no game of TCSC at {k:g}x ended before the goal")
-        near_m = np.abs(known(lost.ended_m)[:, None] - rows_m).min(axis=1)
-        near = Proportion(int(np.sum(near_m <= 1.0)), len(lost))
+        near_m = np.abs(ended_m[:, None] - rows_m).min(axis=1)
+        near = Proportion(int(np.sum(near_m <= 1.0)), len(ended_m))
         texts.append(f"{k:g}x {share(Success((near,)))}")
         peaks.append(exceeds(near.interval, by_chance))
     return Finding(f"{', '.join(texts)}; by chance {by_chance:.0%}", all_of(peaks))
 
 
-def as_fast(rl: Trainings, clock_speed: float, phases: str) -> Finding:
+def as_fast(rl: Flights, clock_speed: float, phases: str) -> Finding:
     """The speed-up of a training, of the simulation alone or of all phases, is within 15 % of the paper's."""
     speedup = training_speedup(rl, clock_speed, PHASES[phases])
     aim = {"simulation": paper_results.SIMULATION_SPEEDUP, "all": paper_results.TRAINING_SPEEDUP}[phases][clock_speed]
     return Finding(f"{speedup.value:.3g}x", within(speedup.interval, (0.85 * aim, 1.15 * aim)))
 
 
-def simulation_dominates_at_1x(rl: Trainings) -> Finding:
+def simulation_dominates_at_1x(rl: Flights) -> Finding:
     """Simulation with rendering takes more than half of the time of a command in real time."""
     simulated = ratio(*(command_s(rl, "adsc", 1.0, phases) for phases in (SIMULATION, PHASES["all"])))
     return Finding(f"{simulated.value:.1%}", exceeds(simulated.interval, 0.5))
 
 
-def rendering_costs_scalability(dp1: Flown, rl: Trainings) -> Finding:
+def rendering_costs_scalability(dp1: Flown, rl: Flights) -> Finding:
     """TCSC's speed-up at 100x, T_move 1 s, longest path, is more than twice as high without rendering as with it."""
     without, rendered = longest(dp1, "tcsc"), training_speedup(rl, FASTEST)
     text = f"{without.value:.3g}x v {rendered.value:.3g}x"
     return Finding(text, exceeds(ratio(without, rendered).interval, 2.0))
 
 
-def training_phases(rl: Trainings) -> list[dict[str, float]]:
+def training_phases(rl: Flights) -> list[dict[str, float]]:
     """Return the hours of TCSC's trainings by ClockSpeed and phase, beside those that the paper's speed-ups imply.
 
     Hours are scaled to trainings that take ADSC the paper's 182 hours at 1x. Empty where ADSC was not trained at 1x.
@@ -544,7 +505,7 @@ def training_phases(rl: Trainings) -> list[dict[str, float]]:
         hour_s = (
             command_s(rl, "adsc", 1.0, PHASES["all"], 1).value * 3600 / paper_results.REAL_TIME_S
         )  # of a command in an hour's
-        for k in [k for k in paper_results.CLOCKS if k in set(at(rl.cells, "tcsc").clock_speed)]:
+        for k in [k for k in paper_results.CLOCKS if k in set(at(rl, "tcsc").clock_speed)]:
             hours = {f"{name}_h": command_s(rl, "tcsc", k, phases, 1).value / hour_s for name, phases in named.items()}
             paper = zip(("paper_simulation_h", "paper_beside_h"), paper_results.phase_hours(k), strict=True)
             found.append({"clock_speed": k, **hours, **dict(paper)})

@@ -377,9 +377,7 @@ class PolicyGrid(SuiteOfRuns[Any, Point]):
     def fly(self, config: Any, case: Point, opened: RunDirectory) -> GameResult:
         """Evaluate; the row has keys of the evaluation's summary, the arrays the outcome of each lane."""
         report = fly_part(opened, case.id, self.runs(config, case)[0])
-        kept = {
-            name: report.summary[name] for name in KEPT if name in self.row.__annotations__ and name in report.summary
-        }
+        kept = [name for name in KEPT if name in self.row.__annotations__ and name in report.summary]
         return GameResult({**case.labels, **subset(report.summary, *kept)}, outcomes(report.run))
 
 

@@ -26,7 +26,7 @@ from uavaccel.records import RunDirectory
 from uavaccel.rl.config import LANE
 from uavaccel.suites import plots
 from uavaccel.suites.experiment import Experiment, GameRow, Row, subset
-from uavaccel.suites.parts import OUTCOMES, Part, Run, SuiteOfRuns, fly_part, outcomes, part_folder, train_part
+from uavaccel.suites.parts import OUTCOMES, Part, Run, SuiteOfRuns, evaluate_part, outcomes, part_folder, train_part
 from uavaccel.suites.report import Report, Summary, method_note, table_of
 from uavaccel.suites.suite import GameResult, SimpleCase
 
@@ -226,7 +226,7 @@ class Mediation(SuiteOfRuns[MediationConfig, PolicyCase]):
                 row |= {f"trained_{key}": learned[key] for key in ("games", "successes")}
                 row["weights_sha256"] = learned["weights_sha256"]
                 continue
-            report = fly_part(opened, place, run, pages=False)
+            report = evaluate_part(opened, place, run)
             row["games"], row["successes"][name] = report.summary["games"], report.summary["successes"]
             arrays |= {f"{name}_{key}": values for key, values in outcomes(report.run).items()}
         return GameResult(row, arrays)

@@ -26,6 +26,7 @@ from uavaccel.suites.experiment import Experiment, GameRow, Row
 from uavaccel.suites.parts import Part, Run, SuiteOfRuns, fly_part, part_run
 from uavaccel.suites.registry import open_run, suite_of
 from uavaccel.suites.report import Report, Summary, method_note, records, table_of
+from uavaccel.suites.rl import flights_of
 from uavaccel.suites.suite import GameResult, SimpleCase
 
 PROFILES = ("airsim", "native")
@@ -123,8 +124,9 @@ class Paper(SuiteOfRuns[PaperConfig, SimpleCase]):
         phases: list[dict[str, float]] = []
         if report.config.with_run is not None:
             run = training_run(report.config.with_run)
+            flights = flights_of(run.rows(), run.load_arrays)
             for profile, found in evidence.items():
-                found["rl"] = claims.Trainings.of(run.rows(), profile, run.load_arrays)
+                found["rl"] = claims.trainings(flights, profile)
             phases = claims.training_phases(evidence["airsim"]["rl"])
         judged = [
             {

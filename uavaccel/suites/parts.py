@@ -124,6 +124,17 @@ def train_part(run: RunDirectory, name: str, part: Run) -> Report:
     return report
 
 
+def evaluate_part(run: RunDirectory, name: str, part: Run) -> Report:
+    """Fly an evaluation, and return its report.
+
+    One that was begun before the run was moved names a policy of the run by another path, and begins anew.
+    """
+    folder = part_folder(run, name)
+    if (folder / "config.yaml").is_file() and RunDirectory(folder).config().get("agent") != part[1].agent:
+        shutil.rmtree(folder)
+    return fly_part(run, name, part, pages=False)
+
+
 def part_folder(run: RunDirectory, name: str) -> Path:
     """Return the folder of a part, which need not exist."""
     return inside(run.path, f"parts/{name}")

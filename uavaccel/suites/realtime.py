@@ -24,6 +24,7 @@ from uavaccel.draw.page import Block, Heading, Table
 from uavaccel.errors import UserError, suggestion
 from uavaccel.forms import ArrayForm, Count, NotNegative, Number, Positive
 from uavaccel.own_code import own_module
+from uavaccel.realtime.policies import load_policy
 from uavaccel.records import RunDirectory, timing_provenance
 from uavaccel.resources import require
 from uavaccel.suites import plots
@@ -179,7 +180,7 @@ class Realtime(Suite[RealtimeConfig, Training]):
         block, agent = config.environments[case.environment], config.agents[case.agent]
         if (policy := agent.policies.get(case.environment)) is not None:
             with closing(realtime_agents.timed(block, agent, 0.0, "adsc", 1.0)) as env:
-                digest = realtime_agents.Given(policy, env).sha256
+                digest = load_policy(policy, env).sha256
             return GameResult(row | {"steps": 0, "last_return": None, "agent_sha256": digest})
         weights, learned = realtime_agents.train(block, agent, config.seed + case.seed)
         return GameResult(row | learned, weights)
@@ -273,7 +274,7 @@ class Realtime(Suite[RealtimeConfig, Training]):
 def _check_agent(config: RealtimeConfig, name: str, agent: str) -> None:
     """Raise UserError for an environment that cannot be made, and for an agent that cannot act in it."""
     from uavaccel.realtime.plant import is_of_mujoco
-    from uavaccel.suites.realtime_agents import Given, timed
+    from uavaccel.suites.realtime_agents import timed
 
     block = config.environments[name]
     try:
@@ -281,7 +282,7 @@ def _check_agent(config: RealtimeConfig, name: str, agent: str) -> None:
             if config.agents[agent].look_ahead and not is_of_mujoco(env):
                 raise UserError("look_ahead: looks into Gymnasium's MuJoCo environments alone")
             if (policy := config.agents[agent].policies.get(name)) is not None:
-                Given(policy, env)
+                load_policy(policy, env)
     except UserError as error:
         raise UserError(f"environments.{name}, agents.{agent}: {error}") from error
     except Exception as error:  # whatever a user's environment raises
@@ -321,12 +322,11 @@ def evaluated(config: RealtimeConfig, case: Evaluation, weights: Mapping[str, np
     else:
         env = agents.timed(block, agent, delay_s, case.command, case.clock_speed)
     with closing(env):
-        given = agent.policies.get(case.environment)
-        policy = agents.Policy(env, agent, weights) if given is None else agents.Given(given, env)
-        ahead = agent.look_ahead and case.command == "adsc"
-        actor = agents.LookAhead(policy, env, block, delay_s, case.clock_speed) if ahead else policy
+        policy = agents.policy_of(env, agent, weights, agent.policies.get(case.environment))
+        if agent.look_ahead and case.command == "adsc":
+            policy = agents.LookAhead(policy, env, block, delay_s, case.clock_speed)
         seeds = range(EVALUATION_SEED + config.seed, EVALUATION_SEED + config.seed + config.episodes)
-        met = [agents.fly_episode(env, actor, seed, delay_s if wall else 0.0) for seed in seeds]
+        met = [agents.fly_episode(env, policy, seed, delay_s if wall else 0.0) for seed in seeds]
     returns, delays_s, late_s = (list(each) for each in zip(*met, strict=True))
     return subset(vars(case), *UNDER) | {"returns": returns, "delays_s": delays_s, "late_s": max(late_s)}
 

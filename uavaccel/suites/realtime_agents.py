@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import hashlib
 import sys
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import partial
-from typing import Any, Protocol
+from typing import Any
 
 import gymnasium
 import mujoco
@@ -25,10 +25,12 @@ from uavaccel.realtime import RealTime, RealTimeProcess, samples
 from uavaccel.realtime.control_loop import Command, ControlLoop, LoopOptions
 from uavaccel.realtime.plant import MujocoPlant
 from uavaccel.realtime.policies import load_policy
+from uavaccel.realtime.server import begin
 from uavaccel.suites.realtime_config import DRONES, AgentBlock, EnvironmentBlock
 from uavaccel.units import seconds_to_ns
 
 Env = gymnasium.Env[Any, Any]
+Act = Callable[[Any], Any]
 Weights = dict[str, NDArray[Any]]
 COMMAND: Command = "adsc"  # of trainings: their delays are of simulated time
 LANES, STEPS = 8, 256  # of a rollout
@@ -137,51 +139,35 @@ class _Returns(BaseCallback):
         return float(np.mean(self._finished[-LAST_EPISODES:])) if self._finished else None
 
 
-class Actor(Protocol):
-    """What flies an episode."""
+def policy_of(env: Env, agent: AgentBlock, weights: Mapping[str, NDArray[Any]], given: str | None = None) -> Act:
+    """Return the policy of an agent: of the file `given`, or with weights the mean of its distribution of actions, or
+    the most likely one. Raises UserError for a file without a policy that fits the environment.
+    """
+    th.set_num_threads(1)
+    if given is not None:
+        return load_policy(given, env)
+    kind, space = PPO.policy_aliases["MlpPolicy"], env.observation_space
+    policy = kind(space, env.action_space, lambda _: 0.0, net_arch=list(agent.hidden))
+    policy.load_state_dict({name: th.as_tensor(weights[name]) for name in policy.state_dict()})
+    policy.eval()
+    mean, scale = weights["observation.mean"], np.sqrt(weights["observation.var"] + EPSILON)
 
-    def begin(self, seed: int, /) -> None: ...
-    def act(self, observation: Any, /) -> Any: ...
-
-
-class Policy:
-    """A trained agent, which takes the mean of its distribution of actions, or the most likely one."""
-
-    def __init__(self, env: Env, agent: AgentBlock, weights: Mapping[str, NDArray[Any]]) -> None:
-        th.set_num_threads(1)
-        self._mean, self._var = weights["observation.mean"], weights["observation.var"]
-        kind, space = PPO.policy_aliases["MlpPolicy"], env.observation_space
-        policy = kind(space, env.action_space, lambda _: 0.0, net_arch=list(agent.hidden))
-        policy.load_state_dict({name: th.as_tensor(weights[name]) for name in policy.state_dict()})
-        self._policy = policy.eval()
-
-    def begin(self, seed: int) -> None:
-        """Begin an episode."""
-
-    def act(self, observation: NDArray[Any]) -> Any:
-        """Return the action for an observation."""
-        normalised = (np.asarray(observation, float) - self._mean) / np.sqrt(self._var + EPSILON)
+    def act(observation: NDArray[Any]) -> Any:
+        normalised = (np.asarray(observation, float) - mean) / scale
         seen = np.clip(normalised, -CLIPPED, CLIPPED).astype(np.float32)
-        return self._policy.predict(seen, deterministic=True)[0]
+        return policy.predict(seen, deterministic=True)[0]
 
-
-class Given:
-    """A policy of one's own, from a file. Raises UserError where there is none, or none that fits the environment."""
-
-    def __init__(self, place: str, env: Env) -> None:
-        th.set_num_threads(1)
-        policy = load_policy(place, env)
-        self.sha256, self.begin, self.act = policy.sha256, policy.reset, policy
+    return act
 
 
 class LookAhead:
-    """An agent that acts on the observation predicted for the moment at which its action will be applied.
+    """A policy that acts on the observation predicted for the moment at which its action will be applied.
 
     The model is the simulator itself, from the present state on: an upper bound of what any model brings. `env` is a
     timed one of Gymnasium's MuJoCo environments.
     """
 
-    def __init__(self, policy: Actor, env: Env, block: EnvironmentBlock, delay_s: float, clock_speed: float) -> None:
+    def __init__(self, policy: Act, env: Env, block: EnvironmentBlock, delay_s: float, clock_speed: float) -> None:
         self._policy, self._real = policy, env.unwrapped
         self._model: Any = gymnasium.make(block.id, **block.keys).unwrapped
         self._model.reset(seed=0)
@@ -191,31 +177,31 @@ class LookAhead:
         self._ticks = self._loop.ticks_within(round(delay_s * 1e9))
         self._held = self._idle
 
-    def begin(self, seed: int) -> None:
+    def reset(self, seed: int) -> None:
         """Begin an episode, in which the idle action is held at first."""
-        self._policy.begin(seed)
+        begin(self._policy, seed)
         self._held = self._idle
 
-    def act(self, observation: NDArray[Any]) -> Any:
+    def __call__(self, observation: NDArray[Any]) -> Any:
         """Return the action for the predicted observation."""
         if self._ticks:
             real: Any = self._real
             self._model.set_state(real.data.qpos.copy(), real.data.qvel.copy())
             self._model.data.qacc_warmstart[:] = real.data.qacc_warmstart
             observation = self._loop.plant.advance(self._held, self._ticks).observation
-        self._held = self._policy.act(observation)
+        self._held = self._policy(observation)
         return self._held
 
 
-def fly_episode(env: Env, actor: Actor, seed: int, thinks_s: float) -> tuple[float, float, float]:
+def fly_episode(env: Env, policy: Act, seed: int, thinks_s: float) -> tuple[float, float, float]:
     """Fly an episode of decisions that take `thinks_s` of wall time; return its return, median delay and lateness."""
     clock = MonotonicClock()
     observation, _ = env.reset(seed=seed)
-    actor.begin(seed)
+    begin(policy, seed)
     total, delays_s, late_s, over = 0.0, list[float](), 0.0, False
     while not over:
         since_ns = clock.now_ns()
-        action = actor.act(observation)
+        action = policy(observation)
         if thinks_s:
             clock.sleep_until(since_ns + seconds_to_ns(thinks_s))
         observation, reward, terminated, truncated, info = env.step(action)

@@ -6,7 +6,6 @@ Each case trains a policy and evaluates it, in runs of other suites below parts/
 from __future__ import annotations
 
 import re
-import shutil
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -44,7 +43,7 @@ from uavaccel.suites.experiment import (
     Timing,
     subset,
 )
-from uavaccel.suites.parts import OUTCOMES, Part, Run, SuiteOfRuns, fly_part, outcomes, part_folder, train_part
+from uavaccel.suites.parts import OUTCOMES, Part, Run, SuiteOfRuns, evaluate_part, outcomes, part_folder, train_part
 from uavaccel.suites.report import Report, Summary, method_note, table_of
 from uavaccel.suites.suite import GameResult, SimpleCase
 
@@ -273,15 +272,13 @@ class Rl(SuiteOfRuns[RlConfig, TrainingCase]):
         host, policy = {"evaluations_s": 0.0}, case.id.removesuffix(f"-{OF_EXACT}")
         agent = str(part_folder(opened, f"{policy}/training").resolve())
         for name, (part, seed) in parts_of(config, case, agent).items():
-            folder = part_folder(opened, place := f"{policy}/{name}")
+            place = f"{policy}/{name}"
             if name == "training":
                 report = train_part(opened, place, part.resolve(seed))
                 row["training"] = subset(report.summary, *TrainingResult.__annotations__)
                 host["training_s"] = (experiment.cumulative_wall_s(report.timings) or [0.0])[-1]
                 continue
-            if (folder / "config.yaml").is_file() and RunDirectory(folder).config().get("agent") != agent:
-                shutil.rmtree(folder)  # begun before the run was moved, it names its policy by another path
-            report, took = experiment.timed(partial(fly_part, opened, place, part.resolve(seed), pages=False))
+            report, took = experiment.timed(partial(evaluate_part, opened, place, part.resolve(seed)))
             row["evaluations"].append(subset(report.summary, *EvaluationResult.__annotations__))
             flight = name.removeprefix("evaluation-")
             arrays |= {f"{flight}_{key}": values for key, values in outcomes(report.run).items()}

@@ -32,7 +32,6 @@ _QUICKACK = getattr(socket, "TCP_QUICKACK", None)
 _CONNECT_S = 10.0
 _READ_BYTES = 1 << 16
 _ANSWER_BYTES, _ANSWER_ITEMS = 1 << 28, 1 << 24  # a recording, images and a picture of floats are large answers
-Call = TypeVar("Call")
 
 
 class RpcError(Exception):
@@ -191,12 +190,41 @@ def set_quick_ack(connection: socket.socket) -> None:
         connection.setsockopt(socket.IPPROTO_TCP, _QUICKACK, 1)
 
 
-class Reply(NamedTuple, Generic[Call]):
-    """A call, and the server's answer to it."""
+class Future:
+    """A call that was sent, under the names of msgpack-rpc, which AirSim's scripts use; `wait` waits for its answer.
 
-    call: Call
-    error: str | None
-    value: Received
+    `result` and `error` are valid once it is `done`; `error` is the server's text, or None.
+    """
+
+    def __init__(self, method: str, wait: Callable[[Any], object] = lambda call: None) -> None:
+        self.method = method
+        self.done = False
+        self.result: Received = None
+        self.error: str | None = None
+        self.wait = wait
+
+    def join(self) -> None:
+        """Wait for the answer. As in AirSim an error is not raised."""
+        if not self.done:
+            self.wait(self)
+
+    def get(self) -> Received:
+        """Wait for the answer and return it. Raises RpcError with the server's text."""
+        self.join()
+        return self.outcome()
+
+    def outcome(self) -> Received:
+        """Return what has been answered. Raises RpcError as `get` does."""
+        if self.error is not None:
+            raise RpcError(self.error)
+        return self.result
+
+    def answer(self, error: str | None, result: object) -> None:
+        """Set the server's answer."""
+        self.error, self.result, self.done = error, result, True
+
+
+Call = TypeVar("Call", bound=Future)
 
 
 class RpcSocket(Generic[Call]):
@@ -224,8 +252,11 @@ class RpcSocket(Generic[Call]):
         self._open[self._next_id] = call
         return message
 
-    def receive(self) -> Iterator[Reply[Call]]:
-        """Read once, waiting if nothing has arrived, and yield the replies. Raises ConnectionError at the end."""
+    def receive(self) -> list[Call]:
+        """Read once, waiting if nothing has arrived; return the calls that were answered.
+
+        Raises ConnectionError at the end.
+        """
         try:
             data = self.socket.recv(_READ_BYTES)
         except ConnectionError as error:
@@ -233,15 +264,18 @@ class RpcSocket(Generic[Call]):
         if not data:
             raise ConnectionError("the server closed the connection")
         set_quick_ack(self.socket)
+        answered = []
         try:
             self._unpacker.feed(data)
             for message in self._unpacker:
                 if not isinstance(message, list) or not message:
                     raise ProtocolError(f"not a msgpack-rpc message: {type(message).__name__}")
                 if len(message) == 4 and message[0] == 1 and (call := self._open.pop(message[1], None)) is not None:
-                    yield Reply(call, message[2], message[3])
+                    call.answer(None if message[2] is None else str(message[2]), message[3])
+                    answered.append(call)
         except _UNREADABLE as error:
             raise ProtocolError(f"not msgpack: {error}") from error
+        return answered
 
     def close(self) -> None:
         self.selector.close()
