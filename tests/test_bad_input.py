@@ -135,7 +135,8 @@ OTHERS = [
     ("run dp2 --set lane=nowhere.yaml", "nowhere.yaml"),
     *[(f"evaluate straight --set agent={name}", name) for name in ("x", "offset:inf", "offset:left", "offset:11")],
     ("run robustness --set agent=nowhere", "nowhere"),
-    ("run paper --set with_run=nowhere", "nowhere"),
+    ("run paper --set with_run=nowhere", "--with nowhere"),
+    *[(f"{command} --set task={name}", f"task = {name}") for command in ("train", "evaluate") for name in ("'so'", 3)],
     (f"run dp1 --out {'x' * 300}", "--out"),
     (f"run dp1 --games 1{'0' * 400}", "games"),
 ]  # fmt: skip
