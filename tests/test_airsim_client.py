@@ -102,8 +102,11 @@ def test_nobody_listens() -> None:
 def test_an_answer_that_does_not_come() -> None:
     with socket.create_server(("127.0.0.1", 0)) as silent:
         client = airsim.VehicleClient(port=silent.getsockname()[1], timeout_value=0.05)
+        patience = threading.Timer(10.0, silent.shutdown, [socket.SHUT_RDWR])  # whoever waits on is hung up on
+        patience.start()
         with pytest.raises(TimeoutError, match=r"^ping: no answer within 0\.05 s$"):
             client.ping()
+        patience.cancel()
 
 
 class Colour(IntEnum):

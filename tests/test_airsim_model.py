@@ -16,6 +16,7 @@ from uavaccel.commands import COMMANDS
 from uavaccel.resources import experiment
 from uavaccel.sim.profile import AIRSIM, NATIVE, Executor, Frames
 from uavaccel.sim.simulation import Simulation
+from uavaccel.sim.vehicle.vehicle import AddedVehicle, Start
 from uavaccel.suites import paper_results
 from uavaccel.wire.latency import (
     QUANTILES,
@@ -175,6 +176,9 @@ def test_images_show_the_pose_of_the_last_frame_before_the_pause() -> None:
     assert not np.array_equal(paused, position(again))
     simulation.reset(50 * MS)
     assert simulation.frames.scene(world.data) is world.data, "a new game has shown nothing yet"
+    simulation.advance_to(80 * MS)
+    simulation.add_vehicles([AddedVehicle("Second", Start((0.0, 5.0, -10.0)))])
+    assert simulation.frames.scene(world.data) is world.data, "what was shown is of a model without the second"
 
 
 # --- variants for ablations -----------------------------------------------------------------------------------------

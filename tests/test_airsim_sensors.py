@@ -344,6 +344,7 @@ def test_a_slow_lidar_goes_on_where_its_last_scan_ended(seconds: float, first_de
     keys = {"RotationsPerSecond": 2, "PointsPerSecond": 4000, "NumberOfChannels": 2, "HorizontalFOVEnd": 360}
     wire = with_sensors(Slow=LIDAR | keys | {"DataFrame": "SensorLocalFrame"})
     wire.fly(seconds)
+    wire.call("reset")  # which does not turn it back
     points = np.array(wire.call("getLidarData", "Slow", "")["point_cloud"]).reshape(-1, 3)
     bearing = np.degrees(np.arctan2(points[:, 1], points[:, 0]))
     expected = np.tile(first_deg + 0.36 * np.arange(200), 2)

@@ -461,13 +461,14 @@ def test_the_policy_that_ships_is_certified_in_its_environment() -> None:
     """Whose task it had in its training; the drone keeps its own clock."""
     with pytest.raises(UserError, match=r"^default: flies uavaccel/ObstacleLane-v0, not CartPole-v1$"):
         ran("timing certify default CartPole-v1")
-    keys = "--set env.timing=virtual --set env.command=adsc --set env.max_commands=2"
+    keys = "--set env.timing=virtual --set env.command=adsc --set env.max_commands=2 --set env.speed_m_s=1.5"
     named = f"timing certify default uavaccel/ObstacleLane-v0 --episodes 1 --latency 0.1 {keys}"
     assert not ran(named)
     assert not ran(f"{named} --jobs 2 --out again")
     assert contents("again") == contents("certificate")
     document = json.loads(Path("certificate/certificate.json").read_text())
     assert document["policy"]["sha256"] == origin_of("default").sha256()
+    assert document["environment"]["kwargs"]["speed_m_s"] == 1.5  # not that of its training
     assert [cell["latency_s"] for cell in document["cells"]] == [0, 0.1]
 
 
@@ -494,12 +495,13 @@ def test_all_of_it_needs_gymnasium_and_numpy_alone() -> None:
 
 def test_a_certificate_is_what_its_rows_say() -> None:
     rows = [
-        {"latency": at, "seed": seed, "return": 1.0, "success": won, "thinking_s": at}
+        {"latency": at, "seed": seed, "return": 1.0, "success": won, "thinking_s": at + (seed > 7)}
         for at, wins in ((0.0, 10), (0.1, 9), (0.2, 8), (0.3, 10))
         for seed, won in enumerate([True] * wins + [False] * (10 - wins))
     ]
     setup = {"policy": {"name": "p", "sha256": None}, "environment": {"id": "E"}, "calibration": None}
     certificate = Certificate({**setup, "unit": "seconds", "episodes": 10, "seed": 0}, rows)
+    assert [cell["latency_s"] for cell in certificate.document["cells"]] == [0.0, 0.1, 0.2, 0.3]  # the medians
     assert certificate.document["holds"]["latency_s"] == 0.1  # what comes after the first that does not hold is not
     assert "policy of unknown hash" in certificate.line
     lost = Certificate(certificate.setup, [row | {"success": False} for row in rows])

@@ -20,6 +20,8 @@ import pytest
 from gymnasium import spaces
 
 from uavaccel.fly import environment, process, simulated, wall
+from uavaccel.fly.environment import supply_windows
+from uavaccel.fly.keys import Hooks, Keyboard
 from uavaccel.fly.log import MESSAGES, DifferenceError, MessageLog
 from uavaccel.fly.modules import Patches, named_module, of_a_script
 from uavaccel.fly.options import SUMMARY, FlightOptions
@@ -336,3 +338,15 @@ def test_a_module_is_changed_on_import_or_at_once(tmp_path: Path, monkeypatch: p
         assert imported_later.value == 1
         assert changed[1:] == ["imported_later: 1"] * 2
     sys.modules.pop("imported_later")
+
+
+def test_a_window_waits_in_milliseconds_and_a_hook_hears_of_every_key() -> None:
+    cv2, passed_s, heard = ModuleType("cv2"), [0.0], list[str]()
+    with Patches() as patches:
+        supply_windows(patches, cv2, Keyboard(passed_s.append, lambda: sum(passed_s)))
+        assert cv2.waitKey(30) == -1
+    assert sum(passed_s) == pytest.approx(0.03)
+    hooks = Hooks(Keyboard(passed_s.append, lambda: sum(passed_s), ["a", "esc"]))
+    hooks.hook(lambda event: heard.append(f"{event.name} {event.event_type}"))
+    hooks.wait()
+    assert heard == ["a down", "a up", "esc down", "esc up"]

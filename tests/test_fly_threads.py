@@ -419,6 +419,9 @@ def sockets(s: Script) -> None:
         [thread] = s.start(answer)
         with socket.create_connection(server.getsockname()) as connection:
             connection.sendall(b"ping")
+            receiver.setblocking(False)
+            s.ask(partial(receiver.recvfrom, 9))
+            receiver.settimeout(UNIT_S)
             s.say(connection.recv_into(bytearray(9)))
             s.ask(partial(receiver.recvfrom, 9))
         thread.join()

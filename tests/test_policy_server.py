@@ -196,6 +196,13 @@ def test_a_server_says_what_it_serves_and_resets_its_policy() -> None:
     assert (policy.name, policy.sha256, begun) == (server.address, "ab" * 32, [5, None])
 
 
+@pytest.mark.skipif(not Path("/proc/net/if_inet6").exists(), reason="this machine has no IPv6")
+def test_an_address_of_ipv6_is_served_and_asked() -> None:
+    with PolicyServer(lambda seen: np.float64(seen[:2]), host="::1") as server:
+        assert server.address.startswith("tcp://[::1]:")
+        np.testing.assert_array_equal(load_policy(server.address, Spaces())(SEEN), SEEN[:2])
+
+
 def test_a_file_is_served_by_its_name_and_hash(tmp_path: Path) -> None:
     env: Any = gymnasium.make("CartPole-v1")
     model = sb3.PPO("MlpPolicy", env, policy_kwargs={"net_arch": [4]}, device="cpu")

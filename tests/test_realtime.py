@@ -341,6 +341,16 @@ def test_an_environment_that_does_not_fit_is_one_line(
     assert "\n" not in str(caught.value)
 
 
+def test_a_step_lasts_what_the_environment_says_dt_before_tau() -> None:
+    inside: Any = Counting()
+    inside.tau = 0.5
+    for seconds in (0.02, 0.5):
+        env = RealTime(inside, 0.0)
+        env.reset()
+        assert env.step(one(0.1))[-1]["simulated_s"] == seconds
+        inside.dt = None
+
+
 def test_real_time_in_real_time_and_thinking_times_that_fall_are_refused() -> None:
     for inside in (RealTime(Counting(), 0.1), RealTime(gymnasium.make("uavaccel/Hover-v0", **HOVER), 0.1, "tcsc")):
         with pytest.raises(UserError, match=r"^RealTime is in real time already"):

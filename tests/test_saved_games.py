@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from tests.lanes import stored
@@ -53,6 +53,7 @@ DOINGS = st.lists(st.one_of(st.integers(0, 4), st.floats(0.001, 0.1), st.just("r
 
 
 @settings(max_examples=20)
+@example(seed=1, doings=["recording", 2], games=0, keys={"timing": "virtual", "command": "adsc"}, kind="json")
 @given(
     seed=st.integers(0, 2**32),
     doings=DOINGS,

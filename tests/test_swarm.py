@@ -80,6 +80,8 @@ def test_each_is_told_where_the_others_are_until_they_are_gone() -> None:
         seen = drones.step({"drone_0": NORTH, "drone_2": STAY})[0]
         assert velocity[0] < 0.0 == seen["drone_0"][13:19].max() == seen["drone_0"][13:19].min()
         assert seen["drone_0"][19:22][1] == pytest.approx(30.0, abs=0.1)
+        while (info := drones.step({"drone_0": NORTH, "drone_2": STAY})[4]["drone_0"])["position_m"][0] < 6.0:
+            assert info["collision"] is None, "with one that has left"
 
 
 @needs_opengl

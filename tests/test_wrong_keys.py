@@ -29,6 +29,7 @@ LANE: Table = [
     ({"action": "rates"}, "action = rates: the lane's actions are headings"),
     ({"observation": "state", "also_state": True}, "also_state needs pictures"),
     ({"headings_deg": []}, "headings_deg = []: needs at least one heading"),
+    ({"headings_deg": [0.0, 30.0, 0.0]}, "must not have one heading twice"),
     ({"max_commands": 0}, "max_commands = 0"),
     ({"lane": {"obstacles": [{"x_m": 12, "y_m": 0.2}]}}, "should have radius_m"),
     ({"lane": "nowhere.yaml"}, "nowhere.yaml"),
