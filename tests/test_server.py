@@ -122,7 +122,7 @@ def test_clients_of_airsims_time_send_bytes_as_text(running: Server, witness: Mu
         assert receive(connection, 5) == b"\x94\x01\x07\xc0\xc3"
         connection.sendall(b"\x94\x00\x08\xb3simListSceneObjects\x91\xa2\xff\xfe")
         assert receive(connection, 5) == b"\x94\x01\x08\xc0\x90"
-        connection.sendall(b"\x94\x00\x09\xb2simGetVehiclePose\x91\xa2\xff\xfe")
+        connection.sendall(b"\x94\x00\x09\xb1simGetVehiclePose\x91\xa2\xff\xfe")
         assert b"Vehicle API for '??' is not available" in connection.recv(1 << 16)
 
 
