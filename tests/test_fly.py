@@ -119,14 +119,14 @@ PACED = """
 def test_a_script_flies_twice_to_the_same_bytes(folder: Folder) -> None:
     out = folder.path / "out"
     exact = ("--think", "0", "--seed", "3", "--out", str(out))
-    done = folder.fly(PACED, "--check", *exact, "--", "-a", "--clock", "7", answers="one\n")  # read by both flights
+    done = folder.fly(PACED, "--check", *exact, "--", "-a", "--clock", "7", "", answers="one\n")  # read by both flights
     assert done.returncode == 3, done.stderr  # the script's own
     assert "thinking" not in done.stdout
     lines = done.stdout.splitlines()
     assert {"name? one", "more? "} < {*lines}  # nothing is typed after the last answer
     paused = [int(line) for line in lines if line.isdigit()]
     assert [time_ns - EPOCH_NS for time_ns in paused] == [250_000_000, 500_000_000, 750_000_000, 1_000_000_000]
-    assert "['-a', '--clock', '7'] 2020 __main__ True True" in lines
+    assert "['-a', '--clock', '7', ''] 2020 __main__ True True" in lines
     assert "watched 50" in lines
     assert f"drawn {random.Random(3).random()} {np.random.RandomState(3).rand()}" in lines
     assert lines[-1].startswith("checked: flown twice, ")
