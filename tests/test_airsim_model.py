@@ -176,7 +176,9 @@ def test_images_show_the_pose_of_the_last_frame_before_the_pause() -> None:
     assert not np.array_equal(paused, position(again))
     simulation.reset(50 * MS)
     assert simulation.frames.scene(world.data) is world.data, "a new game has shown nothing yet"
+    simulation.run(50 * MS)
     simulation.advance_to(80 * MS)
+    assert simulation.frames.scene(world.data) is not world.data
     simulation.add_vehicles([AddedVehicle("Second", Start((0.0, 5.0, -10.0)))])
     assert simulation.frames.scene(world.data) is world.data, "what was shown is of a model without the second"
 

@@ -303,9 +303,7 @@ def test_a_dataset_says_of_each_episode_and_of_itself_what_it_is(straight: RunDi
     """As another agent's game of the same actions, so that its name is the configuration's; the first is not over."""
     config, row = (straight.path / "config.yaml").read_text(), straight.rows()[1]
     renamed = other_run(
-        tmp_path / "run",
-        config.replace("agent: straight", "agent: offset:0.5"),
-        json.dumps(row) + "\n",
+        tmp_path / "run", config.replace("agent: straight", "agent: offset:0.5"), json.dumps(row) + "\n"
     )
     (tmp_path / "a/lane-v3.unfinished/data").mkdir(parents=True)  # of an export that was killed
     for above in ("a", "b"):

@@ -162,6 +162,9 @@ def test_whoever_looks_on_begins_anew_with_each_game() -> None:
             pass
         hit, frames = onlooker.hit, camera.events.frames
         assert hit is not None
+        path, hit_s = lane.recording().arrays(), (hit[0] - onlooker.samples[0].time_ns) / 1e9
+        stands = (path["position_m"] == path["position_m"][-1]).all(axis=1)
+        assert 0.0 <= path["time_s"][stands][0] - hit_s < 0.1, "not that of the sample which tells of it"
         lane.reset()
         lane.step(2)
         assert (onlooker.hit, len(onlooker.samples), camera.events.frames - frames) == (None, 2, 2)

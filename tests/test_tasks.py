@@ -24,7 +24,7 @@ from uavaccel.envs.obstacle_lane import LaneTask
 from uavaccel.envs.sensors import DepthCamera, blank_frame
 from uavaccel.envs.stopwatch import Stopwatch
 from uavaccel.envs.task import Task
-from uavaccel.envs.values import AT_REST, Course, Moment
+from uavaccel.envs.values import AT_REST, Collisions, Course, Moment
 from uavaccel.kinematics import Kinematics
 from uavaccel.sim.lane import LaneLayout
 
@@ -33,6 +33,12 @@ STILL = np.zeros(3, np.float32)
 
 def moment(position_m: tuple[float, float, float], course: Course, commands: int = 1, hit: str | None = None) -> Moment:
     return Moment(replace(AT_REST, position_m=position_m), position_m, hit, commands, course)
+
+
+def test_what_many_games_hit_is_compared_by_name() -> None:
+    hit = Collisions(np.array([-1, 0, 1]), ("ground", "post"))
+    assert [(hit == name).tolist() for name in ("post", "tree")] == [[False, False, True], [False] * 3]
+    assert (hit != "ground").tolist() == [True, False, True]
 
 
 # --- the lane -------------------------------------------------------------------------------------------------------
