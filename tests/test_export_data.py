@@ -398,9 +398,10 @@ def test_refusals_are_one_clear_line(straight: RunDirectory, dp1: RunDirectory, 
         with pytest.raises(UserError, match=said) as refused:
             export(source, **to)
         assert "\n" not in str(refused.value)
-    for kind in ("minari", "csv", "parquet"):
+    others: list[dict[str, Any]] = [{"minari": dataset}, {"csv": dataset}, {"parquet": dataset}]
+    for other in others:
         with pytest.raises(UsageError, match="--case: goes with --mcap"):
-            export(one, **{kind: dataset}, case="lane-000000")
+            export(one, **other, case="lane-000000")
     left = {"there-v0", "there.mcap", "empty", "wall", "training", "some"}
     assert {path.name for path in tmp_path.iterdir()} == left
     assert [path.read_text() for path in (tmp_path / "some").iterdir()] == ["mine"]

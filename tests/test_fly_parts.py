@@ -347,6 +347,10 @@ def test_a_window_waits_in_milliseconds_and_a_hook_hears_of_every_key() -> None:
         assert cv2.waitKey(30) == -1
     assert sum(passed_s) == pytest.approx(0.03)
     hooks = Hooks(Keyboard(passed_s.append, lambda: sum(passed_s), ["a", "esc"]))
-    hooks.hook(lambda event: heard.append(f"{event.name} {event.event_type}"))
+
+    def hear(event: Any) -> None:
+        heard.append(f"{event.name} {event.event_type}")
+
+    hooks.hook(hear)
     hooks.wait()
     assert heard == ["a down", "a up", "esc down", "esc up"]
