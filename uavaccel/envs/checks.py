@@ -184,6 +184,10 @@ def check_functions(task: Task) -> None:
         if not isinstance(ended := call(name, now), bool | np.bool_):
             raise call.wrong(name, f"returned {ended!r}: must be True or False")
     check_reward(task, call("reward", begun, now))
+    _check_info(task, call, now)
+
+
+def _check_info(task: Task, call: Functions, now: Moment) -> None:
     info = call.mapping("info", now)
     if taken := {*told_of(task, now), "wall_s", "phase_s", "host_phase_s"} & {*info}:
         raise call.wrong("info", f"{min(taken)!r} is an item of all tasks: name yours otherwise")
