@@ -305,11 +305,15 @@ MOST_VALUES = 1_000_000
 MOST_LEVELS = 5_000  # of nesting, far below those at which libyaml crashes
 
 
+def _whole(loader: object, node: yaml.ScalarNode) -> int:
+    return int(node.value, 16 if node.value.startswith("0x") else 10)
+
+
 class _Rules(SafeConstructor):
     yaml_implicit_resolvers = _RESOLVERS
-    yaml_constructors = {  # noqa: RUF012  as PyYAML has it
+    yaml_constructors = {
         tag: construct for tag, construct in yaml.SafeLoader.yaml_constructors.items() if tag not in _NOT_PLAIN
-    }
+    } | {_INT: _whole}
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Plain]:
         seen: set[str] = set()
@@ -321,12 +325,6 @@ class _Rules(SafeConstructor):
                 raise ConstructorError(problem=problem, problem_mark=key.start_mark)
             seen.add(key.value)
         return super().construct_mapping(node, deep)
-
-    def construct_yaml_int(self, node: yaml.ScalarNode) -> int:
-        return int(node.value, 16 if node.value.startswith("0x") else 10)
-
-
-_Rules.add_constructor(_INT, _Rules.construct_yaml_int)
 
 
 class _Loader(_Rules, yaml.SafeLoader):
