@@ -42,12 +42,10 @@ COMMAND = "python experiments/airsim_scripts.py AIRSIM/PythonClient --client-pyt
 
 HEADER = f"""# AirSim's example scripts
 
-The scripts of AirSim's PythonClient (multirotor, computer_vision, environment, reinforcement_learning,
-eventcamera_sim), unmodified and headless: under `uavaccel fly` in virtual time, thinking
+The scripts of AirSim's PythonClient, unmodified and headless: under `uavaccel fly` in virtual time, thinking
 {1000 * THINK_S["virtual"]:g} ms before each call, and by the `airsim` 1.8.1 client over TCP against `uavaccel serve`
-at ClockSpeed 10. A script passes if it ends well, or flies on until it is stopped where it has no end; if no call of
-it was refused; and if what it is for has happened: the vehicle has flown, or images have come. Where no more
-is said, every call was answered.
+at ClockSpeed 10. A script passes if it ends well, or flies on until it is stopped where it has no end; if no call was
+refused; and if the vehicle has flown, or images have come, where it is for that.
 """
 
 NO_WINDOWS = """
@@ -299,7 +297,7 @@ def said_to(log: Path) -> Iterator[None]:
 def judged(plan: Plan, refused: Sequence[str], path_m: float, images: int, end: str) -> Result:
     """`images` -1: not counted."""
     if refused:
-        return Result(False, "refused: " + "; ".join(refused))
+        return Result(False, "; ".join(line.partition(": ")[0] for line in refused))
     shown = [end] if end else []
     if plan.flies:
         shown.append(f"flew {path_m:.1f} m")
@@ -372,7 +370,7 @@ def path_length_m(position_m: np.ndarray) -> float:
 def last_line(output: str) -> str:
     lines = [line.strip() for line in output.splitlines() if line.strip()]
     wrong = [line for line in lines if "Error" in line or "error" in line]
-    return (wrong or lines or ["no output"])[-1][:160]
+    return (wrong or lines or ["no output"])[-1][:80]
 
 
 def page(rows: Sequence[tuple[Plan, Result | None, Result | None]]) -> str:

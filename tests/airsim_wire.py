@@ -37,16 +37,8 @@ def airsim_world() -> World:
     return world
 
 
-def vector(x: float, y: float, z: float) -> dict[str, float]:
-    return {"x_val": x, "y_val": y, "z_val": z}
-
-
 def xyz(field: Mapping[str, float]) -> list[float]:
     return [field[key] for key in ("x_val", "y_val", "z_val")]
-
-
-def level_pose(x: float, y: float, z: float) -> dict[str, Any]:
-    return {"position": vector(x, y, z), "orientation": {"w_val": 1.0, "x_val": 0.0, "y_val": 0.0, "z_val": 0.0}}
 
 
 def floats(response: Mapping[str, Any]) -> NDArray[np.float64]:

@@ -17,9 +17,9 @@ FOR_EVER = 3e38
 STRAIGHT = {"is_rate": True, "yaw_or_rate": 0.0}
 
 
-def hovering(profile: Profile = NATIVE) -> Api:
+def hovering(profile: Profile = NATIVE, **options: Any) -> Api:
     """10 m up, with API control, running."""
-    return Api(simulate(profile=profile), render=False)
+    return Api(simulate(profile=profile), render=False, **options)
 
 
 def call(api: Api, method: str, *params: Any) -> Any:
@@ -54,3 +54,8 @@ def place(api: Api, vehicle: str = "") -> NDArray[np.float64]:
 
 def point(x: float, y: float, z: float) -> dict[str, float]:
     return {"x_val": x, "y_val": y, "z_val": z}
+
+
+def pose(x: float, y: float, z: float, **turned: float) -> dict[str, Any]:
+    """Level and to the north, but for the parts of a quaternion that are given."""
+    return {"position": point(x, y, z), "orientation": {"w_val": 1.0, **point(0.0, 0.0, 0.0), **turned}}

@@ -17,11 +17,14 @@ from typing import Any
 import numpy as np
 import pytest
 import torch as th
-from numba import njit
 
 import uavaccel.envs
 import uavaccel.kernels
-from uavaccel.kernels import clutter_games, cpu, events, lane_games, lanes
+from tests.compiling import Alone, alone, kept
+from uavaccel.kernels import clutter_games as _clutter_games
+from uavaccel.kernels import cpu as _cpu
+from uavaccel.kernels import events, lane_games
+from uavaccel.kernels import lanes as _lanes
 from uavaccel.kernels.clutter_games import put_clutter
 from uavaccel.kernels.fields import COLOUR, COLUMNS, ROWS
 from uavaccel.kernels.lane_clocks import LAUNCHED
@@ -81,35 +84,38 @@ def launch(run: Callable[..., None]) -> Any:
     return Launch()
 
 
+clutter_games, cpu, lanes = Alone(_clutter_games), Alone(_cpu), Alone(_lanes)
+
+
 def _each_lane(part: Callable[..., None], which: Any, arguments: Any) -> None:
     for lane in np.flatnonzero(which):
         part(lane, *arguments)
 
 
-@njit(error_model="numpy")
-def _paint(lane: int, looks: Any, games: Any, now: Any, scratch: Any, gray: Any) -> None:
-    cpu.paint(lane, looks, games, now, scratch, gray)
+@kept(error_model="numpy")
+def paint(lane: int, looks: Any, games: Any, now: Any, scratch: Any, gray: Any) -> None:
+    _cpu.paint(lane, looks, games, now, scratch, gray)
 
 
 class Kernels:
     """Each kernel as an attribute; `kernel[grid](flags of lanes, ...)` runs at once."""
 
     def __init__(self) -> None:
-        self._scratch, self._picture = make_scratch(), np.empty((ROWS, COLUMNS), np.uint8)
+        self._scratch, self._picture = alone(make_scratch)(), np.empty((ROWS, COLUMNS), np.uint8)
         self._levels: dict[int, Any] = {}  # sums of the colours that a lane has shown last
-        self._seen: tuple[Any, ...] = ()  # what the lane's pictures are drawn of next
+        self._seen: Any = None  # what the lane's pictures are drawn of next
 
     def __getattr__(self, name: str) -> Any:
         work: Any = getattr(type(self), f"run_{name}", None)
         if work is None:
-            return launch(partial(_each_lane, LAUNCHED[name]))
+            return launch(partial(_each_lane, alone(LAUNCHED[name])))
         return launch(lambda which, *arguments: work(self, np.flatnonzero(which).tolist(), *arguments))
 
     def run_deal_clutter(self, which: Any, distribution: Any, deals: Any, games: Any) -> None:
         for lane in which:
             clutter_games.deal(lane, distribution, deals, games)
             stream, goal = deals.streams[lane, lane_games.OF_LAYOUT], deals.goals[lane]
-            sample_clutter(distribution.clutter, stream, goal[0], -goal[1], deals.layouts[lane])
+            alone(sample_clutter)(distribution.clutter, stream, goal[0], -goal[1], deals.layouts[lane])
             put_clutter(deals.layouts[lane], games.solids, games.scenes, lane)
 
     def run_fly(self, which: Any, ticks: Any, games: Any, now: Any, hull: Any, threads: int) -> None:
@@ -120,7 +126,8 @@ class Kernels:
         self._seen = looks, games, now._replace(state=now.state.copy())
 
     def run_draw_gray(self, which: Any, faces: Any, shown: Any, looks: Any, gray: Any) -> None:
-        self.run_cast_gray(which, *self._seen, None, gray)
+        looks, games, now = self._seen
+        self.run_cast_gray(which, looks, games, now, None, gray)
 
     def run_see(self, which: Any, take: int, faces: Any, shown: Any, looks: Any, sensor: Any, *of_lanes: Any) -> None:
         games, now, pixels, frames = of_lanes
@@ -170,7 +177,7 @@ class Kernels:
 
     def run_cast_gray(self, which: Any, looks: Any, games: Any, now: Any, eyes: Any, gray: Any) -> None:
         for lane in which:
-            _paint(lane, looks, games, now, self._scratch, gray[lane])
+            paint(lane, looks, games, now, self._scratch, gray[lane])
 
     def run_start_events(self, which: Any, gray: Any, sensor: Any, games: Any, now: Any, pixels: Any) -> None:
         for lane in which:

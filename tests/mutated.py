@@ -10,12 +10,13 @@ from typing import Any
 
 import msgpack
 
+from tests.flying import pose
 from uavaccel.wire import rpc
 from uavaccel.wire.api import CALLS, Api
 
 YAW = {"is_rate": True, "yaw_or_rate": 0.0}
-HERE = {"x_val": 1.0, "y_val": 0.0, "z_val": -10.0}
-POSE = {"position": HERE, "orientation": {"w_val": 1.0, "x_val": 0.0, "y_val": 0.0, "z_val": 0.0}}
+POSE = pose(1.0, 0.0, -10.0)
+HERE = POSE["position"]
 IMAGE = {"camera_name": "0", "image_type": 0, "pixels_as_float": False, "compress": True}
 GOOD: dict[str, list[Any]] = {
     "enableApiControl": [True, ""],

@@ -65,13 +65,12 @@ def start(
     seed: int = 0,
     profile: Profile = NATIVE,
     transport: type[VirtualTransport] = VirtualTransport,
-    exclusive: bool = True,
 ) -> Client:
     """A game on a simulated wall clock, as a session starts one."""
     world_of(profile).reset()
     draws = Latency(latency, np.random.SeedSequence(seed))
     simulation = modelled_simulation(world_of(profile), clock_speed, draws)
-    client = Client(transport(Api(simulation), VirtualClock(), draws, exclusive), clock_speed)
+    client = Client(transport(Api(simulation), VirtualClock(), draws), clock_speed)
     client.start_game(clock_speed)
     return client
 

@@ -20,14 +20,14 @@ EAST = VelocityGoal((0.0, 1.0, 0.0))
 NORTH_AT_HEIGHT = VelocityGoal((1.0, 0.0, 0.0), height_m=-10.5, yaw=0.5, yaw_is_rate=False)
 
 
-def flying(client: MultirotorClient, clock_speed: float) -> AirSimAdapter:
+def flying(client: MultirotorClient) -> AirSimAdapter:
     """Connected, paused, with API control, in the settled hover: what an AirSim script begins with."""
     client.confirmConnection()
     client.simPause(True)
     client.reset()
     client.enableApiControl(True)
     client.armDisarm(True)
-    return AirSimAdapter(client, clock_speed)
+    return AirSimAdapter(client, CLOCK_SPEED)
 
 
 def test_tcsc_flies_as_through_our_own_client() -> None:
@@ -35,7 +35,7 @@ def test_tcsc_flies_as_through_our_own_client() -> None:
         own = session.start_game(CLOCK_SPEED, np.random.SeedSequence(0))
         expected = [list(tcsc(own, goal, 1.0, 0.25)) for goal in (NORTH_AT_HEIGHT, EAST)]
     with running_server(CLOCK_SPEED) as server, client_of(server.address[1]) as client:
-        adapter: MissionClient = flying(client, CLOCK_SPEED)
+        adapter: MissionClient = flying(client)
         t_start = adapter.kinematics().time_ns
         flown = [list(tcsc(adapter, goal, 1.0, 0.25)) for goal in (NORTH_AT_HEIGHT, EAST)]
     for states, ours in zip(flown, expected, strict=True):
@@ -46,7 +46,7 @@ def test_tcsc_flies_as_through_our_own_client() -> None:
 
 def test_tcsc_reaches_its_end_where_continue_for_is_a_wall_timer() -> None:
     with running_server(CLOCK_SPEED, "airsim") as server, client_of(server.address[1]) as client:
-        adapter = flying(client, CLOCK_SPEED)
+        adapter = flying(client)
         t_start = adapter.kinematics().time_ns
         states = list(tcsc(adapter, EAST, 1.0, 0.5))
         assert client.simIsPause()
@@ -56,7 +56,7 @@ def test_tcsc_reaches_its_end_where_continue_for_is_a_wall_timer() -> None:
 
 def test_adsc_samples_and_joins() -> None:
     with running_server(CLOCK_SPEED) as server, client_of(server.address[1]) as client:
-        adapter = flying(client, CLOCK_SPEED)
+        adapter = flying(client)
         t_start = adapter.kinematics().time_ns
         command = COMMANDS["adsc"]
         command.begin(adapter)

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from tests.airsim_wire import AirSimWire, floats, level_pose, pixels, xyz
+from tests.airsim_wire import AirSimWire, floats, pixels, xyz
+from tests.flying import pose
 from tests.scenes import BLOCKS, Pose, Seen, cast_from
 from uavaccel.wire import rpc
 from uavaccel.wire.pictures import Cameras, CameraSettings, id_of_name
@@ -121,29 +122,14 @@ def test_what_a_camera_leaves_out_of_its_lens_is_of_the_defaults() -> None:
         assert Cameras(common, {"0": given}).named("front_center").lens(0) == lens
 
 
-def test_a_camera_is_turned_where_it_is_and_moved_as_it_is_turned() -> None:
-    wire, unknown = AirSimWire(), float("nan")
-    wire.call("simSetCameraPose", "0", Pose((0.2, 1.0, -0.3), (0.0, 0.0, 0.0)).message(), "", False)
-    turned, moved = (Pose((2.0, 3.0, -4.0), (0.0, 0.0, 90.0)).message() for _ in range(2))
-    turned["position"] = dict.fromkeys(turned["position"], unknown)
-    moved["orientation"] = dict.fromkeys(moved["orientation"], unknown)
-    for pose, place in ((turned, [0.2, 1.0, -10.3]), (moved, [2.0, 3.0, -14.0])):
-        wire.call("simSetCameraPose", "0", pose, "", False)
-        told = wire.call("simGetCameraInfo", "0", "", False)["pose"]
-        assert [told["position"][axis] for axis in ("x_val", "y_val", "z_val")] == pytest.approx(place, abs=1e-3)
-        assert [told["orientation"][axis] for axis in ("w_val", "z_val")] == pytest.approx([0.5**0.5] * 2, abs=1e-3)
-
-
 def test_a_camera_is_moved_and_zoomed_and_nan_changes_nothing() -> None:
     wire = AirSimWire()
     wire.move(VEHICLE)
-    pose = Pose((0.2, 1.0, -0.3), (5.0, -30.0, 60.0))
-    wire.call("simSetCameraPose", "0", pose.message(), "", False)
+    mount = Pose((0.2, 1.0, -0.3), (5.0, -30.0, 60.0))
+    wire.call("simSetCameraPose", "0", mount.message(), "", False)
     wire.call("simSetCameraFov", "front_center", 50, "", False)
-    kept = level_pose(float("nan"), 0.0, 0.0)
-    kept["orientation"]["w_val"] = float("nan")
-    wire.call("simSetCameraPose", "fpv", kept, "", False)
-    seen = seen_from((pose.position_m, pose.degrees, 256, 144, 50))
+    wire.call("simSetCameraPose", "fpv", pose(float("nan"), 0.0, 0.0, w_val=float("nan")), "", False)
+    seen = seen_from((mount.position_m, mount.degrees, 256, 144, 50))
     planar, along, shares, colours = wire.images(
         ("0", PLANAR, True), ("", PERSPECTIVE, True), ("0", VIS, True), ("0", INFRARED, False)
     )
@@ -200,18 +186,10 @@ def test_images_that_are_too_much_for_an_answer_are_refused_in_words(monkeypatch
 
 def test_the_ground_goes_on_beyond_a_hundred_metres() -> None:
     wire = AirSimWire()
-    wire.call("simSetVehiclePose", level_pose(150.0, 20.0, -5.0), True, "")
+    wire.call("simSetVehiclePose", pose(150.0, 20.0, -5.0), True, "")
     [response] = wire.images(("0", PLANAR, True))
     rows = (np.arange(144) + 0.5 - 72) / 128
     below = rows > 5.0 / 900  # of the horizon, as far as the ground is drawn in whole pixels
     expected = np.broadcast_to((5.0 / rows[below])[:, None], (below.sum(), 256))
     np.testing.assert_allclose(floats(response)[below], expected, rtol=1e-2)
     assert (floats(response)[rows < 0] == SKY_M).all()
-
-
-def test_distortion_is_kept_and_told_and_said_to_be_without_effect() -> None:
-    wire = AirSimWire()
-    for _ in range(2):
-        wire.call("simSetDistortionParam", "0", "K2", 0.25, "", False)
-    assert wire.call("simGetDistortionParams", "0", "", False) == [0.0, 0.25, 0.0, 0.0, 0.0]
-    assert wire.said == ["simSetDistortionParam: accepted; pictures stay undistorted"]

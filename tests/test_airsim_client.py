@@ -3,8 +3,6 @@
 import io
 import math
 import socket
-import subprocess
-import sys
 import threading
 from collections.abc import Iterator
 from enum import IntEnum
@@ -97,7 +95,7 @@ def test_threads_share_a_client(client: airsim.MultirotorClient) -> None:
 def test_nobody_listens() -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
-    with pytest.raises(ConnectionError, match=f"no server at 127.0.0.1:{port}"):
+    with pytest.raises(ConnectionError, match=f"no server at 127.0.0.1:{port} .* start one with `uavaccel serve`"):
         airsim.MultirotorClient(port=port)
 
 
@@ -238,9 +236,3 @@ def test_pfm_files_are_read_as_written(shape: tuple[int, ...], order: str, tmp_p
         airsim.write_pfm(f"{tmp_path}/depth.pfm", image.astype(float))
     with pytest.raises(ValueError, match="H x W"):
         airsim.write_pfm(f"{tmp_path}/depth.pfm", image.ravel())
-
-
-def test_it_loads_nothing_heavy() -> None:
-    program = "import sys, uavaccel.airsim; print(*sys.modules)"
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
-    assert not {"cv2", "mujoco", "numba", "pydantic", "scipy"} & set(done.stdout.split())

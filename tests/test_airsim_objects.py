@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.airsim_wire import AirSimWire, level_pose, vector
+from tests.airsim_wire import AirSimWire
+from tests.flying import point, pose
 from uavaccel.sim.objects import SceneObjects, cast, matching
 from uavaccel.sim.profile import NATIVE
 from uavaccel.sim.scene import QUADROTOR, SPARES
@@ -19,8 +19,7 @@ from uavaccel.sim.world import World
 from uavaccel.wire import rpc
 from uavaccel.wire.pictures import colours
 
-NORTH = np.array([[1.0, 0.0, 0.0]])
-ONE = vector(1.0, 1.0, 1.0)
+ONE = point(1.0, 1.0, 1.0)
 BLOCK = "block_north"
 
 
@@ -38,8 +37,8 @@ def wire() -> Iterator[AirSimWire]:
             wire.call("simDestroyObject", name)
 
 
-def spawn(wire: AirSimWire, name: str, asset: str, at: tuple[float, float, float], scale: Any = ONE) -> str:
-    told: str = wire.call("simSpawnObject", name, asset, level_pose(*at), scale, False, False)
+def spawn(wire: AirSimWire, name: str, asset: str, at: tuple[float, float, float]) -> str:
+    told: str = wire.call("simSpawnObject", name, asset, pose(*at), ONE, False, False)
     return told
 
 

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from tests.airsim_wire import AirSimWire
+from tests.flying import pose
 from uavaccel.errors import UserError
 from uavaccel.wire import rpc
 from uavaccel.wire.types import EPOCH_NS
@@ -101,11 +102,7 @@ def test_on_move_what_turns_has_moved(tmp_path: Path) -> None:
     wire = AirSimWire({"SimMode": "ComputerVision", "Recording": {"RecordOnMove": True}}, recordings=tmp_path)
     wire.call("startRecording")
     for turn in (0.0, 0.6, 0.6, 0.6):
-        pose = {
-            "position": dict.fromkeys(("x_val", "y_val", "z_val"), float("nan")),
-            "orientation": {"w_val": 1.0, "x_val": 0.0, "y_val": 0.0, "z_val": turn},
-        }
-        wire.call("simSetVehiclePose", pose, True, "")
+        wire.call("simSetVehiclePose", pose(*[float("nan")] * 3, z_val=turn), True, "")
         wire.fly(0.05)
     wire.call("stopRecording")
     [file] = tmp_path.glob("*/airsim_rec.txt")

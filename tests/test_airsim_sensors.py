@@ -32,7 +32,7 @@ from uavaccel.wire import rpc
 from uavaccel.wire.api import CALLS
 from uavaccel.wire.types import EPOCH_NS
 
-HOME = {"latitude": 47.641468, "longitude": -122.140165, "altitude": 122.0}
+HOME = GeoPoint(47.641468, -122.140165, 122.0)
 QUIET = {"UncorrelatedNoiseSigma": 0.0}
 LIDAR = {"SensorType": 6, "NumberOfChannels": 8, "PointsPerSecond": 8000, "Range": 60.0}
 SENSORS = {
@@ -49,6 +49,11 @@ TILTED = Pose((2.0, -3.0, -9.0), (10.0, -15.0, 40.0))
 
 def with_sensors(**sensors: Any) -> AirSimWire:
     return AirSimWire({"Vehicles": {"Drone": {"Sensors": sensors or SENSORS}}})
+
+
+def hover_at(time_s: float, tick_s: float = 0.002, since_reset_s: float = 0.0) -> Truth:
+    hover = Kinematics(round(time_s * 1e9), (0, 0, 0), (1, 0, 0, 0), *[(0.0, 0.0, 0.0)] * 4)
+    return Truth(hover, tick_s, since_reset_s, HOME)
 
 
 def test_a_tilted_imu_feels_the_force_along_its_own_axes() -> None:
@@ -134,11 +139,11 @@ def test_a_gps_converges_and_is_as_late_in_velocity_as_in_place() -> None:
 
 def test_a_receiver_is_no_later_than_the_last_reset() -> None:
     """5 m/s north, and 1 m/s² faster each second."""
-    home, still = GeoPoint(*HOME.values()), (0.0, 0.0, 0.0)
+    still = (0.0, 0.0, 0.0)
     now = Kinematics(10**9, still, (1, 0, 0, 0), (5.0, 0.0, 0.0), still, (1.0, 0.0, 0.0), still)
     for since_reset_s, ago_s in ((0.0, 0.0), (0.05, 0.05), (0.3, 0.2)):
-        read = Gps(GpsSettings(), 0, "gps").read(Truth(now, 0.002, since_reset_s, home))
-        assert local(read.place, home)[0] == pytest.approx(-5.0 * ago_s + ago_s**2 / 2, abs=1e-6)
+        read = Gps(GpsSettings(), 0, "gps").read(Truth(now, 0.002, since_reset_s, HOME))
+        assert local(read.place, HOME)[0] == pytest.approx(-5.0 * ago_s + ago_s**2 / 2, abs=1e-6)
         assert read.velocity_m_s[0] == pytest.approx(5.0 - ago_s)
 
 
@@ -195,11 +200,6 @@ def test_a_lidar_has_a_hundred_thousand_points_at_most_and_none_without_half_a_o
     assert directions(lidar(64, 320), 0.0).shape == (64, 3)
 
 
-def drifting(tau_s: float, sigma: float = 0.05) -> AirSimWire:
-    keys = {"PressureFactorTau": tau_s, "PressureFactorSigma": sigma, "UncorrelatedNoiseSigma": 0.0}
-    return with_sensors(Baro={"SensorType": 1, **keys})
-
-
 def drift_of(wire: AirSimWire) -> float:
     true = wire.call("simGetGroundTruthEnvironment", "")["air_pressure"]
     return wire.call("getBarometerData", "", "")["pressure"] / true - 1.0
@@ -208,7 +208,8 @@ def drift_of(wire: AirSimWire) -> float:
 def test_a_barometer_drifts_as_airsims_gauss_markov_process() -> None:
     """Each fiftieth of a second keeps exp(-dt/tau) and gains the rest of a normal number; anew with a reset."""
     keep, sigma = math.exp(-0.02 / 2.0), 0.05
-    wire = drifting(2.0)
+    drifting = {"PressureFactorTau": 2.0, "PressureFactorSigma": sigma, **QUIET}
+    wire = with_sensors(Baro={"SensorType": 1, **drifting})
     values = [drift_of(wire)]
     for _ in range(400):
         wire.fly(0.02)
@@ -229,9 +230,7 @@ def test_an_imus_biases_walk_as_far_as_their_settings_say() -> None:
     silent = {"AngularRandomWalk": 0.0, "VelocityRandomWalk": 0.0}
     taus = {"GyroBiasStabilityTau": 4.0, "AccelBiasStabilityTau": 16.0}
     settings = ImuSettings(**silent, **taus, GyroBiasStability=3600.0, AccelBiasStability=1e6)
-    hover = Kinematics(10**9, (0, 0, 0), (1, 0, 0, 0), *[(0.0, 0.0, 0.0)] * 4)
-    truth = Truth(hover, 0.002, 1.0, GeoPoint(*HOME.values()))
-    read = [Imu(settings, seed, "imu").read(truth) for seed in range(400)]
+    read = [Imu(settings, seed, "imu").read(hover_at(1.0, since_reset_s=1.0)) for seed in range(400)]
     rate, force = (np.array(each) for each in zip(*read, strict=True))
     np.testing.assert_allclose(rate.std(axis=0), math.radians(0.5), rtol=0.12)
     np.testing.assert_allclose((force + np.array([0.0, 0.0, 9.80665])).std(axis=0), 9.80665 / 4, rtol=0.12)
@@ -285,11 +284,9 @@ def test_magnetometers_of_one_vehicle_have_biases_of_their_own() -> None:
 
 
 def test_a_magnetometers_bias_is_uniform_within_its_bound() -> None:
-    level = Kinematics(0, (0, 0, 0), (1, 0, 0, 0), *[(0.0, 0.0, 0.0)] * 4)
-    truth = Truth(level, 0.002, 0.0, GeoPoint(*HOME.values()))
     keys = {"NoiseSigma": 0.0, "ScaleFactor": 3.0, "NoiseBias": 0.3}
-    read = [Magnetometer(MagnetometerSettings(**keys), seed, "field").read(truth) for seed in range(400)]
-    bias = np.array(read) - 3.0 * np.array(magnetic_field_gauss(truth.home))
+    read = [Magnetometer(MagnetometerSettings(**keys), seed, "field").read(hover_at(0.0)) for seed in range(400)]
+    bias = np.array(read) - 3.0 * np.array(magnetic_field_gauss(HOME))
     assert (np.abs(bias) <= 0.3).all()
     np.testing.assert_allclose(bias.mean(axis=0), 0.0, atol=0.03)
     np.testing.assert_allclose(bias.std(axis=0), 0.3 / math.sqrt(3), rtol=0.1)
@@ -314,11 +311,6 @@ def test_noise_has_the_size_of_its_setting() -> None:
     sizes = np.array([50.0, 0.02, 0.02, 0.02, 0.5])
     np.testing.assert_allclose(np.std(errors, axis=0), sizes, rtol=0.2)
     np.testing.assert_allclose(np.mean(errors, axis=0) / sizes, 0.0, atol=0.3)
-
-
-def hover_at(time_s: float, tick_s: float = 0.002, since_reset_s: float = 0.0) -> Truth:
-    hover = Kinematics(round(time_s * 1e9), (0, 0, 0), (1, 0, 0, 0), *[(0.0, 0.0, 0.0)] * 4)
-    return Truth(hover, tick_s, since_reset_s, GeoPoint(*HOME.values()))
 
 
 @pytest.mark.parametrize("tick_s", [0.001, 0.002, 0.003])

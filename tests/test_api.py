@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,11 +12,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.flying import STRAIGHT, go_on, hovering
+from tests.flying import call as ask
 from tests.simulating import simulate
 from uavaccel.errors import UserError
 from uavaccel.kinematics import Kinematics
 from uavaccel.sim.earth import geographic
-from uavaccel.sim.profile import NATIVE, PROFILES, Profile
+from uavaccel.sim.profile import PROFILES
 from uavaccel.sim.simulation import DeferredReply, Simulation
 from uavaccel.sim.world import World
 from uavaccel.wire import rpc, types
@@ -30,7 +31,6 @@ from uavaccel.wire.settings import Settings
 from uavaccel.wire.types import EPOCH_NS
 
 MS = 1_000_000
-YAW = {"is_rate": True, "yaw_or_rate": 0.0}
 WORLD = World("blocks", PROFILES["native"])
 
 values = st.recursive(
@@ -51,16 +51,6 @@ values = st.recursive(
 )
 
 
-def new_api(**options: Any) -> Api:
-    WORLD.reset()
-    return Api(Simulation(WORLD), render=False, **options)
-
-
-def result_of(api: Api, method: str, params: Sequence[Any] = (), wall_ns: int = 0) -> Any:
-    api.simulation.advance_to(wall_ns)
-    return api.call(method, params, wall_ns)
-
-
 @st.composite
 def calls(draw: st.DrawFn) -> tuple[str, list[Any]]:
     """A method and as many arguments as it takes, of any kind."""
@@ -72,11 +62,13 @@ def calls(draw: st.DrawFn) -> tuple[str, list[Any]]:
 @pytest.mark.slow
 @settings(max_examples=150)
 @given(calls())
-def test_any_arguments(call: tuple[str, list[Any]]) -> None:
-    api = new_api()
+def test_any_arguments(asked: tuple[str, list[Any]]) -> None:
+    WORLD.reset()
+    api = Api(Simulation(WORLD), render=False)
     for wall_ns in (0, MS):
+        api.simulation.advance_to(wall_ns)
         try:
-            result = result_of(api, *call, wall_ns)
+            result = api.call(*asked, wall_ns)
         except rpc.RpcError:
             continue
         if isinstance(result, DeferredReply):
@@ -87,7 +79,7 @@ def test_any_arguments(call: tuple[str, list[Any]]) -> None:
 
 
 def test_a_bug_in_a_call_leaves_its_traceback_in_the_log_once(caplog: pytest.LogCaptureFixture) -> None:
-    api = new_api()
+    api = hovering()
 
     def broken() -> int:
         return dict[str, int]()["pong"]
@@ -138,12 +130,12 @@ def test_a_method_says_all_about_its_call() -> None:
 
 
 def test_settings_name_the_vehicle() -> None:
-    api = new_api(settings=Settings.model_validate({"Vehicles": {"Drone1": {}}, "ClockSpeed": 5}))
-    assert result_of(api, "listVehicles", []) == ["Drone1"]
-    assert result_of(api, "simGetGroundTruthKinematics", ["Drone1"])
+    api = hovering(settings=Settings.model_validate({"Vehicles": {"Drone1": {}}, "ClockSpeed": 5}))
+    assert ask(api, "listVehicles") == ["Drone1"]
+    assert ask(api, "simGetGroundTruthKinematics", "Drone1")
     with pytest.raises(rpc.RpcError, match="there is 'Drone1'"):
-        result_of(api, "simGetGroundTruthKinematics", ["SimpleFlight"])
-    told = json.loads(result_of(api, "getSettingsString", []))
+        ask(api, "simGetGroundTruthKinematics", "SimpleFlight")
+    told = json.loads(ask(api, "getSettingsString"))
     assert told["SimMode"] == "Multirotor"
     assert told["ClockSpeed"] == 1.0  # what holds, not what the file says
     assert told["Vehicles"] == {"Drone1": {}}
@@ -153,11 +145,11 @@ def test_a_vehicles_own_sensors_go_before_the_defaults_and_those_before_airsims(
     imu = {"SensorType": 2}
     for own, name in (({"Sensors": {"own": imu}}, "own"), ({}, "default")):
         given = {"Vehicles": {"A": own}, "DefaultSensors": {"default": imu}}
-        api = new_api(settings=Settings.model_validate(given))
-        assert result_of(api, "getImuData", [name]) == result_of(api, "getImuData")
+        api = hovering(settings=Settings.model_validate(given))
+        assert ask(api, "getImuData", name) == ask(api, "getImuData")
         with pytest.raises(rpc.RpcError, match=f"No imu with name imu exist on vehicle; there is {name}"):
-            result_of(api, "getImuData", ["imu"])
-    assert result_of(new_api(), "getImuData", ["imu"])
+            ask(api, "getImuData", "imu")
+    assert ask(hovering(), "getImuData", "imu")
 
 
 def rows_of(folder: Path) -> list[list[list[str]]]:
@@ -167,30 +159,35 @@ def rows_of(folder: Path) -> list[list[list[str]]]:
 
 
 def test_a_recording_is_airsims_file(tmp_path: Path) -> None:
-    api = new_api(recordings=tmp_path)
-    for method, wall_ns in (("startRecording", 100 * MS), ("stopRecording", 300 * MS)):
-        result_of(api, method, [], wall_ns)
+    api = hovering(recordings=tmp_path)
+    ask(api, "startRecording")
+    go_on(api, 0.2)
+    ask(api, "stopRecording")
     [[header, *rows]] = rows_of(tmp_path)
     assert tuple(header) == COLUMNS
-    assert [int(row[1]) - EPOCH_NS // MS for row in rows] == [100, 150, 200, 250, 300]
+    begun_ms = (EPOCH_NS + api.simulation.time_ns) // MS - 200
+    assert [int(row[1]) - begun_ms for row in rows] == [0, 50, 100, 150, 200]
     assert {(row[0], row[2], row[4], row[5], row[9]) for row in rows} == {("SimpleFlight", "0", "-10", "1", "")}
 
 
 def test_a_recording_goes_on_through_commands_and_resets(tmp_path: Path) -> None:
-    api = new_api(recordings=tmp_path)
-    result_of(api, "enableApiControl", [True])
-    result_of(api, "startRecording", [])
-    result_of(api, "moveByVelocity", [1.0, 0.0, 0.0, 1.0, 0, YAW], 120 * MS)
-    result_of(api, "reset", [], 400 * MS)
-    assert result_of(api, "isRecording", [])
-    result_of(api, "stopRecording", [], 500 * MS)
-    assert not result_of(api, "isRecording", [])
+    api = hovering(recordings=tmp_path)
+    ask(api, "startRecording")
+    go_on(api, 0.12)
+    ask(api, "moveByVelocity", 1.0, 0.0, 0.0, 1.0, 0, STRAIGHT)
+    go_on(api, 0.28)
+    ask(api, "reset")
+    assert ask(api, "isRecording")
+    go_on(api, 0.1)
+    ask(api, "stopRecording")
+    assert not ask(api, "isRecording")
     [[_, *rows]] = rows_of(tmp_path)
-    times = [int(row[1]) - EPOCH_NS // MS for row in rows]
+    times = [int(row[1]) - int(rows[0][1]) for row in rows]
     assert times == sorted([*range(0, 450, 50), *range(400, 550, 50)])  # of the reset, the state before and after
-    result_of(api, "uavaccelStartGame", [1.0], 500 * MS)
-    result_of(api, "simPause", [False], 500 * MS)
-    result_of(api, "moveByVelocity", [1.0, 0.0, 0.0, 1.0, 0, YAW], 620 * MS)
+    ask(api, "uavaccelStartGame", 1.0)
+    ask(api, "simPause", False)
+    go_on(api, 0.12)
+    ask(api, "moveByVelocity", 1.0, 0.0, 0.0, 1.0, 0, STRAIGHT)
     assert api.simulation.recording().samples[0, 0] == 0, "a game counts from its first command again"
 
 
@@ -200,19 +197,19 @@ def test_a_name_that_a_file_cannot_hold_is_refused(name: str) -> None:
     camera: dict[str, Any] = {"Vehicles": {"Drone": {"Cameras": {name: {}}}}}
     for chosen, key in ((vehicle, "Vehicles: a vehicle"), (camera, "Cameras: a camera")):
         with pytest.raises(UserError, match=f"{key} cannot be called"):
-            new_api(settings=Settings.model_validate(chosen))
+            hovering(settings=Settings.model_validate(chosen))
 
 
 def test_each_recording_has_a_file_of_its_own_or_is_the_callers_error(tmp_path: Path) -> None:
-    api = new_api(recordings=tmp_path / "made" / "when needed")
+    api = hovering(recordings=tmp_path / "made" / "when needed")
     for method in ("startRecording", "startRecording", "stopRecording"):
-        result_of(api, method, [])
+        ask(api, method)
     assert len(rows_of(tmp_path / "made" / "when needed")) == 2
     (tmp_path / "file").write_text("in the way")
-    api = new_api(recordings=tmp_path / "file")
+    api = hovering(recordings=tmp_path / "file")
     with pytest.raises(rpc.RpcError, match=r"startRecording.*Error"):
-        result_of(api, "startRecording", [])
-    assert result_of(api, "ping", [])
+        ask(api, "startRecording")
+    assert ask(api, "ping")
 
 
 # --- flight and state -------------------------------------------------------------------------------------------------
@@ -230,22 +227,6 @@ STATE = Kinematics(
 )
 
 
-def hovering_api(clock_speed: float = 1.0, profile: Profile = NATIVE) -> Api:
-    """With API control, running, at wall time 0."""
-    return Api(simulate(clock_speed, profile), render=False)
-
-
-def flown() -> Api:
-    """In the middle of a turn, so that no number of the state is 0, 1 or another's."""
-    api = hovering_api()
-    result_of(api, "moveByVelocity", [1.0, -2.0, 0.5, 2.0, MAX_DOF, {"is_rate": True, "yaw_or_rate": 40.0}])
-    api.simulation.advance_to(700 * MS)
-    return api
-
-
-# --- states -------------------------------------------------------------------------------------------------
-
-
 def test_a_state_survives_the_wire() -> None:
     assert encode_state(STATE) == [123, *(float(n) for n in range(1, 20))]
     assert decode_state(encode_state(STATE)) == STATE
@@ -258,13 +239,6 @@ def test_gps_is_a_sphere_around_airsims_origin() -> None:
     assert north == pytest.approx((47.641468 + 0.01, -122.140165, 122.0 + 7.0), abs=1e-9)
     east = geographic((0.0, degree_m / 1000, 0.0), Settings().home)
     assert east.longitude == pytest.approx(-122.140165 + 0.001 / math.cos(math.radians(47.641468)), abs=1e-9)
-    api = flown()
-    told = result_of(api, "getMultirotorState", [], 700 * MS)["gps_location"]
-    place = geographic(api.simulation.kinematics().position_m, Settings().home)
-    assert tuple(told[key] for key in ("latitude", "longitude", "altitude")) == place
-
-
-# --- goals --------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(("velocity", "drivetrain", "mode", "yaw", "is_rate"), [
@@ -284,21 +258,6 @@ def test_yaw_follows_the_direction_of_travel_if_asked_to(
     found = facing(*velocity[:2], drivetrain, types.yaw_mode(mode, "yaw_mode"))
     assert found[0] == pytest.approx(yaw)
     assert found[1] is is_rate
-
-
-# --- arguments ----------------------------------------------------------------------------------------------
-
-
-def test_a_pose_is_taken_apart_and_its_attitude_made_a_unit() -> None:
-    place = {"x_val": 1, "y_val": 2.0, "z_val": -3.0}
-    turned = {"w_val": 0.0, "x_val": 0.0, "y_val": 3.0, "z_val": 4.0}
-    assert types.pose({"position": place, "orientation": turned}, "pose") == ((1.0, 2.0, -3.0), (0.0, 0.0, 0.6, 0.8))
-
-
-def test_flags_may_be_numbers_and_yaw_is_in_degrees() -> None:
-    assert [types.flag(value, "it") for value in (True, False, 1, 0)] == [True, False, True, False]
-    assert types.yaw_mode({"is_rate": False, "yaw_or_rate": 180}, "it") == (math.pi, False)
-    assert types.yaw_mode({}, "it") == (0.0, True)
 
 
 # --- the table of calls -----------------------------------------------------------------------------------------------

@@ -34,7 +34,7 @@ run robustness --set latency_scale=[-1] -> latency_scale.0 = -1: should be great
 run robustness --set latency_scale=[1, 1] -> has 1 twice
 run robustness --set evaluation.keys={task.histry: 1} -> unknown key 'task.histry'
 run robustness --set evaluation.experiment=dp1 -> dp1
-run dp2 --set lane=nowhere.yaml -> dp2.yaml: lane: nowhere.yaml: No such file
+run dp2 --set lane=nowhere.yaml -> --set: lane: nowhere.yaml: No such file
 run robustness --set agent="a\\0b" -> the name of a file has a null byte in it
 run robustness --set agent=nowhere -> nowhere: holds no policy
 train --set task.timing=wall --set environments=2 -> environments must be 1 with timing wall
@@ -107,7 +107,7 @@ task.difficulty.texture = 1
     "train --set algorithm=sb3_ppo --set mirror=false --set": "options.n_steps = 0 | many | 10000000000000",
     "train --set algorithm=sb3_dqn --set mirror=false --set": "options.buffer_size = 10000000000000",
     "train --set algorithm=sb3_a2c --set mirror=false --set": "options.learning_tempo = 1",
-    "train --set mirror=false --set": "task = 3 | [] | lane",
+    "train --set mirror=false --set": "task = 3 | [] | lanes",
     "evaluate straight --set": """
 games = 0 | 1000001 | 1000000000000000000000000000000; first_lane = -1 | 1000000 | 999999
 environments = 0 | 1000000000; inference_s = -1 | 1e308; agent = 3 | [straight]
@@ -135,7 +135,8 @@ OTHERS = [
     ("run dp2 --set lane=nowhere.yaml", "nowhere.yaml"),
     *[(f"evaluate straight --set agent={name}", name) for name in ("x", "offset:inf", "offset:left", "offset:11")],
     ("run robustness --set agent=nowhere", "nowhere"),
-    ("run paper --set with_run=nowhere", "nowhere"),
+    ("run paper --set with_run=nowhere", "--with nowhere"),
+    *[(f"{command} --set task={name}", f"task = {name}") for command in ("train", "evaluate") for name in ("'so'", 3)],
     (f"run dp1 --out {'x' * 300}", "--out"),
     (f"run dp1 --games 1{'0' * 400}", "games"),
 ]  # fmt: skip

@@ -17,7 +17,7 @@ from uavaccel.errors import UserError
 from uavaccel.kinematics import VelocityGoal
 from uavaccel.resources import asset
 from uavaccel.sim.camera import gl, pixels
-from uavaccel.sim.camera.camera import SKY_M, Camera, Lens
+from uavaccel.sim.camera.camera import SKY_M, Camera, Lens, MountedCamera
 from uavaccel.sim.camera.view import HEIGHT, WIDTH
 from uavaccel.sim.flight import of_velocity
 from uavaccel.sim.lane import apply_layout, sample_layout
@@ -25,7 +25,7 @@ from uavaccel.sim.profile import NATIVE
 from uavaccel.sim.world import World
 
 EYE_AHEAD_M = 0.46
-WALL_FACE_M, POST_FACE_M = 5.0, 6.0
+POST_FACE_M = 6.0
 SCENE = """
 <mujoco>
   <include file="{quadrotor}"/>
@@ -118,7 +118,8 @@ def test_depth_is_in_metres(posts: mujoco.MjModel, eye: Camera) -> None:
 @pytest.mark.parametrize(("width", "height", "fov_deg"), [(256, 144, 90.0), (64, 64, 90.0), (160, 40, 120.0)])
 def test_the_field_of_view_is_horizontal(posts: mujoco.MjModel, width: int, height: int, fov_deg: float) -> None:
     """The cube is 2 m wide and 6 m away."""
-    with Camera(posts, width, height, fov_deg=fov_deg) as camera:
+    with MountedCamera(posts, width, height) as camera:
+        camera.point(None, Lens(width, height, fov_deg))
         cube = camera.segmentation(mujoco.MjData(posts)) == posts.geom("post").id
     focal = width / 2 / np.tan(np.radians(fov_deg) / 2)
     assert cube.any(axis=0).sum() == pytest.approx(2.0 / POST_FACE_M * focal, abs=1.0)
@@ -216,9 +217,10 @@ def test_a_canvas_has_room_for_the_highest_and_for_the_widest() -> None:
 
 
 @needs_opengl
-def test_a_camera_that_is_not_there(posts: mujoco.MjModel) -> None:
-    with pytest.raises(UserError, match="no camera 'tail' in the scene; there is front_center"):
-        Camera(posts, camera="tail")
+def test_a_camera_that_is_not_there() -> None:
+    tail = asset("mjcf/quadrotor.xml").read_text().replace('"front_center"', '"tail"')
+    with pytest.raises(UserError, match="no camera 'front_center' in the scene; there is tail"):
+        Camera(mujoco.MjModel.from_xml_string(tail))
 
 
 @needs_opengl

@@ -416,6 +416,22 @@ def test_a_policy_is_measured_and_certified_by_commands(capsys: pytest.CaptureFi
     assert contents("again") == contents("certificate")
 
 
+def test_an_environment_of_ones_own_is_beside_the_policy(capsys: pytest.CaptureFixture[str]) -> None:
+    Path("own_cart.py").write_text(
+        "import gymnasium\n"
+        "from gymnasium.envs.classic_control import CartPoleEnv\n"
+        "gymnasium.register('Own-v0', CartPoleEnv, max_episode_steps=3)\n"
+        "def act(seen):\n    return 1\n"
+    )
+    named = "timing certify own_cart.py:act own_cart:Own-v0 --episodes 2 --delay 1 --set default_action=0"
+    with pytest.raises(UserError, match=r"^environment 'own_cart:Own-v0': .* nobody has trusted here: "):
+        ran(named)
+    assert not ran(f"{named} --jobs 2 --trust")
+    assert "own_cart.py:act in Own-v0: holds 90% of its return" in capsys.readouterr().out
+    with pytest.raises(UserError, match=r"^environment 'own_card:Own-v0': no module 'own_card' in "):
+        ran("timing measure own_cart.py:act own_card:Own-v0")
+
+
 @pytest.mark.parametrize(
     ("words", "error", "said"),
     [

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.flying import pose
 from tests.simulating import NORTH, always, start
 from uavaccel.errors import UserError
 from uavaccel.kinematics import VelocityGoal
@@ -38,8 +39,8 @@ class LoggingTransport(VirtualTransport):
         return methods
 
 
-def new_client(exclusive: bool = True, clock_speed: float = 1.0) -> tuple[Client, LoggingTransport]:
-    client = start(clock_speed, transport=LoggingTransport, exclusive=exclusive)
+def new_client(clock_speed: float = 1.0) -> tuple[Client, LoggingTransport]:
+    client = start(clock_speed, transport=LoggingTransport)
     assert isinstance(client.transport, LoggingTransport)
     client.transport.sent.clear()
     return client, client.transport
@@ -79,12 +80,6 @@ def test_a_known_state_saves_messages() -> None:
     ]
 
 
-POSE = {
-    "position": dict.fromkeys(("x_val", "y_val", "z_val"), -5.0),
-    "orientation": {"w_val": 1.0, "x_val": 0.0, "y_val": 0.0, "z_val": 0.0},
-}
-
-
 @pytest.mark.parametrize("call", [
     ("simPause", False),
     ("simPause", True),
@@ -92,7 +87,7 @@ POSE = {
     ("uavaccelStartGame", 1.0),
     ("simContinueForTime", 0.1),
     ("uavaccelContinueFor", 2 * MS),
-    ("simSetVehiclePose", POSE, True),
+    ("simSetVehiclePose", pose(-5.0, -5.0, -5.0), True),
 ])  # fmt: skip
 def test_what_may_change_the_state_makes_it_unknown(call: tuple[Any, ...]) -> None:
     client, transport = new_client()
@@ -106,18 +101,6 @@ def test_what_may_change_the_state_makes_it_unknown(call: tuple[Any, ...]) -> No
     with pytest.raises(rpc.RpcError):
         client.call("uavaccelNobodyKnows")  # it may be one of a server that is newer than its client
     assert transport.known.state is None
-
-
-def test_nothing_is_known_where_others_may_fly_too() -> None:
-    client, transport = new_client(exclusive=False)
-    client.continue_for(100 * MS)
-    client.kinematics()
-    client.move_async(NORTH, 1.0)
-    assert [(method, coalesced) for method, _, _, coalesced in transport.sent] == [
-        ("uavaccelContinueFor", False),
-        ("uavaccelState", False),
-        ("moveByVelocity", False),
-    ]
 
 
 # --- what is sent -------------------------------------------------------------------------------------------
@@ -203,7 +186,6 @@ def test_a_game_has_its_height_speed_and_connection() -> None:
     with VirtualSession("blocks", "native") as session:
         client = session.start_game(5.0, height_m=-3.0)
         assert client.clock_speed == client.speed()["clock_speed"] == 5.0
-        assert client.transport.known.exclusive
         state = client.kinematics()
         assert (state.time_ns, state.position_m) == (0, (0.0, 0.0, -3.0))
         client.move_async(VelocityGoal((1.0, 0.0, 0.0)), 1.0)
@@ -212,13 +194,6 @@ def test_a_game_has_its_height_speed_and_connection() -> None:
         again = session.start_game(1.0)
         assert len(again.recording().commands) == 0
         assert again.kinematics().position_m == (0.0, 0.0, -10.0)
-
-
-def test_airsims_timers_are_late_in_virtual() -> None:
-    late = LatencyConfig(timer_us=always(3000.0))
-    with VirtualSession("blocks", "airsim", late) as session:
-        client = session.start_game(1.0)
-        assert client.continue_for(30 * MS).time_ns == 33 * MS
 
 
 def test_a_lane_is_laid_out_before_the_game() -> None:

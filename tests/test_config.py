@@ -98,14 +98,17 @@ def test_a_refusal_names_file_key_value_and_remedy(mapping: dict[str, Any], line
 
 def test_load_yaml_reads_numbers_as_yaml_1_2_does(tmp_path: Path) -> None:
     file = tmp_path / "numbers.yaml"
-    file.write_text("a: 1e-3\nb: 2E6\nc: 2026-11-21\nd: 1.5\ne: 10\n", encoding="utf-8")
-    assert load_yaml(file) == {"a": 0.001, "b": 2e6, "c": "2026-11-21", "d": 1.5, "e": 10}
+    lines = "a: 1e-3\nb: 2E6\nc: 2026-11-21\nd: 1.5\ne: 10\nf: 010\ng: 1:30\nh: 0x1F\ni: 1_000\nj: -3\n"
+    file.write_text(lines, encoding="utf-8")
+    whole = {"e": 10, "f": 10, "g": "1:30", "h": 31, "i": 1000, "j": -3}
+    assert load_yaml(file) == {"a": 0.001, "b": 2e6, "c": "2026-11-21", "d": 1.5, **whole}
 
 
 @pytest.mark.parametrize(
     ("content", "line"),
     [
         (b"a: 1\nb: [1, 2\n", r"line 3: expected ',' or '\]'"),
+        (b"a: 1\n---\na: 2\n", "line 2: expected a single document in the stream, but found another document"),
         (b"a: 1\nb: 2\na: 3\n", "line 3: key 'a' stands twice in one mapping"),
         (b"a: {x: 1, x: 2}\n", "line 1: key 'x' stands twice in one mapping"),
         (b"? [1, 2]\n: 3\n", "line 1: a key is not text"),

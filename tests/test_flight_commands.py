@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.flying import FOR_EVER, STRAIGHT, call, fly, go_on, hovering, place, point
+from tests.flying import FOR_EVER, STRAIGHT, call, fly, go_on, hovering, place, point, pose
 from tests.simulating import world_of
 from uavaccel.kinematics import Kinematics, VelocityGoal
 from uavaccel.sim.earth import GeoPoint, ned_of
@@ -19,7 +19,7 @@ from uavaccel.sim.vehicle import autopilot
 
 PROFILES = pytest.mark.parametrize("profile", [NATIVE, AIRSIM], ids=["native", "airsim"])
 AUTO, ADAPTIVE = -1.0, 1.0
-MAX_DOF, FORWARD_ONLY = 0, 1
+MAX_DOF = 0
 
 
 def carrot(path: list[Any], travelled: float, ahead: float) -> tuple[float, Any]:
@@ -122,7 +122,7 @@ def test_a_path_looks_as_far_ahead_as_it_is_told_or_as_airsim_does() -> None:
 def test_who_flies_faster_than_3_m_s_past_the_end_turns_back_at_1_m_s(velocity_m_s: float, back_m_s: float) -> None:
     """10 m north, and 15 m after the first turn; a place on the way is left at the speed that was asked for."""
     points = np.array([(0.0, 0.0, -9.0), (10.0, 0.0, -9.0)])
-    task = FollowPath(points, velocity_m_s, 99.0, False, 0.0, True, 3.0, 1.0)
+    task = FollowPath(points, velocity_m_s, 99.0, False, autopilot.STRAIGHT_ON, 3.0, 1.0)
     for north_m, speed_m_s in ((0.0, velocity_m_s), (2.0, velocity_m_s), (15.0, -back_m_s)):
         now = Kinematics(0, (north_m, 0.0, -9.0), (1.0, 0.0, 0.0, 0.0), (0, 0, 0), (0, 0, 0))
         goal, result = task.turn(now, 0.02)
@@ -221,8 +221,7 @@ def test_an_integral_gain_beats_wind_and_a_derivative_damps() -> None:
         api = hovering()
         call(api, "setPositionControllerGains", [1.0, 1.0, 0.25], [0.0] * 3, [kd, kd, 0.0])
         call(api, "rotateByYawRate", 0.0, 9.0)
-        beside = {"position": point(2.0, 0.0, -10.0), "orientation": {"w_val": 1.0, **point(0.0, 0.0, 0.0)}}
-        call(api, "simSetVehiclePose", beside, True)
+        call(api, "simSetVehiclePose", pose(2.0, 0.0, -10.0), True)
         reached = []
         for _ in range(90):
             go_on(api, 0.1)

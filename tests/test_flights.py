@@ -1,8 +1,9 @@
 """Flights call by call: what is answered, when, and where every vehicle is then, as recorded in tests/data/flights.
 
 A flight is a heading, options, and calls; below each call stands what came of it, written anew with RECORD=1. `& call`
-does not wait for the reply. After a call: the answer, replies that have come due, wall time in ms, tick, and vehicles
-that have changed: position, attitude in degrees, velocity, modes and values of the goal, and what there is besides.
+does not wait for the reply. After a call: the answer, what was said, replies that have come due, wall time in ms, tick,
+and vehicles that have changed: position, attitude in degrees, velocity, modes and values of the goal, and what there is
+besides.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 
-from tests.flying import FOR_EVER, STRAIGHT, point
+from tests.flying import FOR_EVER, STRAIGHT, point, pose
 from uavaccel.errors import UserError
 from uavaccel.sim.profile import PROFILES
 from uavaccel.sim.simulation import DeferredReply, Pilot, Simulation
@@ -29,10 +30,6 @@ from uavaccel.wire.settings import Settings
 
 DEGREES = ("latitude", "longitude")
 FOLDER = Path(__file__).parent / "data/flights"
-
-
-def pose(x: float, y: float, z: float, **turned: float) -> dict[str, Any]:
-    return {"position": point(x, y, z), "orientation": {"w_val": 1.0, **point(0.0, 0.0, 0.0), **turned}}
 
 
 def moving(x: float, y: float, z: float, velocity: tuple[float, ...], turning: tuple[float, ...]) -> dict[str, Any]:
@@ -60,13 +57,14 @@ class Flight(dict[str, Any]):
     def __init__(
         self, profile: str = "native", clock: float = 1.0, settings: Any = None, show: str = "", airsim: bool = False
     ) -> None:
-        super().__init__(point=point, pose=pose, moving=moving, FOR_EVER=FOR_EVER, STRAIGHT=STRAIGHT)
+        super().__init__(point=point, pose=pose, moving=moving, FOR_EVER=FOR_EVER, STRAIGHT=STRAIGHT, NAN=float("nan"))
+        self.said: list[str] = []
         self |= {"go": self.go, "to": self.to, "settle": self.settle}
         self |= {"ANY": (0, STRAIGHT), "ROUTE": (0, STRAIGHT, -1, 1)}  # the way it faces, and how it follows a path
         self.simulation = Simulation(World("blocks", PROFILES[profile], airsim=airsim), clock)
         read = Settings.model_validate(settings or {})
         read.prepare(self.simulation.world)
-        self.api = Api(self.simulation, read, render=False)
+        self.api = Api(self.simulation, read, render=False, say=self.said.append)
         for pilot in self.simulation.pilots:
             pilot.api_control = True
         self.show, self.pending, self.told = show.split(), list[tuple[str, DeferredReply]](), dict[str, str]()
@@ -104,7 +102,8 @@ class Flight(dict[str, Any]):
         replies = [f"{name}: {plain(reply.encode(reply.value))} at {ms(reply.due_wall_ns)}" for name, reply in due]
         clock = f"{ms(self.simulation.wall_ns)} ms, tick {self.simulation.world.tick}"
         state = [clock + ", paused" * self.simulation.paused, *filter(None, map(self._changed, self.simulation.pilots))]
-        return "; ".join([plain(answer), *replies, *state, *filter(None, [self.simulation.failure])])
+        said, self.said[:] = [f"said: {text}" for text in self.said], []
+        return "; ".join([plain(answer), *said, *replies, *state, *filter(None, [self.simulation.failure])])
 
     def _changed(self, pilot: Pilot) -> str:
         vehicle, state, now = pilot.vehicle, pilot.vehicle.state, pilot.kinematics()

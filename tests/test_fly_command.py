@@ -148,6 +148,7 @@ def test_the_second_flight_is_held_against_the_first(tmp_path: Path, monkeypatch
 def test_settings_beside_the_script_come_before_those_of_the_home(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """They are AirSim's by one of their keys; another program's are passed over."""
     home, script = tmp_path / "home", tmp_path / "scripts" / "script.py"
     monkeypatch.setenv("HOME", str(home))
     beside, own = script.parent / "settings.json", home / "Documents" / "AirSim" / "settings.json"
@@ -156,10 +157,12 @@ def test_settings_beside_the_script_come_before_those_of_the_home(
         path.parent.mkdir(parents=True)
         path.write_text(json.dumps({"ClockSpeed": 2}))
         assert found_settings(script) == path
-    beside.write_text("{}")
-    assert found_settings(script) == own
-    beside.write_text("\ufeff" + json.dumps({"Vehicles": {}}))
-    assert found_settings(script) == beside
+    for text in ('{"SettingsVersion": 1.2}', '{"ClockSpeed": 5, "theme": "dark"}', '\ufeff{"Vehicles": {}}'):
+        beside.write_text(text)
+        assert found_settings(script) == beside
+    for text in ('{"theme": "dark"}', "{}", '["ClockSpeed"]', "{"):
+        beside.write_text(text)
+        assert found_settings(script) == own
 
 
 def test_a_request_of_a_flight_travels_whole(tmp_path: Path) -> None:

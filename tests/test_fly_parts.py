@@ -22,7 +22,7 @@ from gymnasium import spaces
 from uavaccel.fly import environment, process, simulated, wall
 from uavaccel.fly.log import MESSAGES, DifferenceError, MessageLog
 from uavaccel.fly.modules import Patches, named_module, of_a_script
-from uavaccel.fly.options import SUMMARY, FlightOptions, found_settings
+from uavaccel.fly.options import SUMMARY, FlightOptions
 from uavaccel.fly.script import ScriptResult, run_script
 
 # --- the process -----------------------------------------------------------------------------------------------------
@@ -90,6 +90,7 @@ def test_a_seed_is_that_of_generators_that_are_made_without_one() -> None:
         with Patches() as patches:
             process._seed(7, patches)
             own = [float(np.random.default_rng().random()), float(np.random.default_rng(3).random())]
+            own += [random.Random().random(), np.random.RandomState().rand()]
             space = spaces.Box(0.0, 1.0, (2,), np.float64)
             return [*own, *space.sample().tolist(), float(torch.rand(1)), random.random()]
 
@@ -193,16 +194,6 @@ def test_a_script_runs_as_python_runs_it(
     assert (outlived, capsys.readouterr().err) == ([True], said)
 
 
-def test_settings_are_airsims_by_one_of_their_keys(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("HOME", str(tmp_path / "home"))
-    beside = tmp_path / "settings.json"
-    mine = ('{"SettingsVersion": 1.2}', '{"ClockSpeed": 5, "theme": "dark"}', '{"SimMode": "Multirotor"}')
-    for text in (*mine, '{"Vehicles": {}}', '{"theme": "dark"}', "{}", '["ClockSpeed"]', "{"):
-        beside.write_text(text)
-        airsims = text in mine or "Vehicles" in text
-        assert found_settings(tmp_path / "script.py") == (beside if airsims else None)
-
-
 # --- a server of its own ---------------------------------------------------------------------------------------------
 
 
@@ -224,8 +215,8 @@ def test_a_flight_in_wall_time_starts_a_server_and_passes_on_warnings(
     monkeypatch.setattr(wall, "Watch", lambda *_: watch)
     monkeypatch.setattr(wall, "end_within", lambda *_: started.append("ended"))
     options = FlightOptions(Path("script.py"), (), tmp_path, "wall", profile="airsim", scene="lane", clock_speed=9.0)
-    with wall.serving(options, 2.5, settings=settings) as served:
-        assert served.port == 8123
+    with wall.serving(options, 2.5, settings) as (port, _):
+        assert port == 8123
     (_, _, *arguments), *ends = started
     assert ends == ["no longer watched", "SIGINT", "ended"]
     asked = ["serve", "--port", "0", "--clock", "2.5", "--profile", "airsim", "--scene", "lane"]

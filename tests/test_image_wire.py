@@ -180,21 +180,6 @@ def test_camera_info_projects_a_corner_to_its_pixel(blocks: AirSimWire) -> None:
     assert 0 < (patch == 0).sum() < patch.size
 
 
-def test_a_pose_is_taken_and_told_and_nan_leaves_its_part(blocks: AirSimWire) -> None:
-    pose, nan = POSES[1], float("nan")
-    blocks.move(pose)
-    message = Pose((1.0, 2.0, -3.0), (0.0, 0.0, 0.0)).message()
-    blocks.call("simSetVehiclePose", message | {"orientation": dict.fromkeys(message["orientation"], nan)}, True)
-    told = blocks.call("simGetVehiclePose", "")
-    assert list(told["position"].values()) == [1.0, 2.0, -3.0]
-    np.testing.assert_allclose(list(told["orientation"].values()), pose.quaternion(), atol=1e-9)
-    message["position"]["y_val"] = nan
-    blocks.call("simSetVehiclePose", message, True)
-    told = blocks.call("simGetVehiclePose", "")
-    assert list(told["position"].values()) == [1.0, 2.0, -3.0]
-    assert list(told["orientation"].values()) == [1.0, 0.0, 0.0, 0.0]
-
-
 def test_switched_off_images_are_refused_by_every_call(blocks: AirSimWire) -> None:
     api = Api(blocks.simulation, render=False)
     for method, params in (

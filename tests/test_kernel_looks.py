@@ -9,17 +9,19 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
-from numba import njit
 from numpy.typing import NDArray
 
+from tests.compiling import Alone, kept
 from tests.opengl import needs_opengl
 from tests.scenes import Scene
 from uavaccel.envs.obstacle_lane import ObstacleLane
 from uavaccel.errors import UserError
-from uavaccel.kernels import cpu, events, rays
+from uavaccel.kernels import cpu as _cpu
+from uavaccel.kernels import events
+from uavaccel.kernels import faces as _faces
 from uavaccel.kernels import fields as at
+from uavaccel.kernels import rays as _rays
 from uavaccel.kernels.appearance import empty_scenes, fill_scenes, mipmaps, read_appearance
-from uavaccel.kernels.faces import project
 from uavaccel.kernels.fields import Appearance, Scenes
 from uavaccel.kernels.pictures import render_lanes
 from uavaccel.kernels.quads import (
@@ -42,6 +44,7 @@ from uavaccel.vision.dvs import PRESETS, DvsParameters, init_state, make_sensor,
 from uavaccel.vision.dvs_kernels import count_single_pixel
 from uavaccel.vision.dvs_sensor import sample_pixels
 
+cpu, faces_of, rays = Alone(_cpu), Alone(_faces), Alone(_rays)
 Floats = NDArray[np.float64]
 View = tuple[LaneLayout, Floats, Floats]  # lane, position, quaternion; NED
 
@@ -196,13 +199,13 @@ def test_a_pixel_alone_is_that_of_the_picture(appearance: Appearance) -> None:
     pictures, depths_of = render_lanes("gray", *arguments), render_lanes("depth", *arguments)
     for number, (picture, depths) in enumerate(zip(pictures, depths_of, strict=True)):
         scene = appearance, arguments[1], number, arguments[3][number], arguments[4][number]
-        project(*scene, True, faces)
+        faces_of.project(*scene, True, faces)
         alone = [
             luma_of(*rays.colour_of(faces, face, appearance.texels, appearance.textures, row, 100))
             for row, face in enumerate(nearest_faces(faces, rows, 100).tolist())
         ]
         assert np.sum(alone != picture[:, 100]) <= 1
-        project(*scene, False, faces)
+        faces_of.project(*scene, False, faces)
         shown = nearest_faces(faces, 70, columns)
         w = np.where(shown > 0, linear(faces, shown, at.W, 70, columns), faces[0, at.FAR_W])
         assert np.mean(np.abs(1 / w / depths[70] - 1) > 1e-5) <= 0.01
@@ -212,7 +215,7 @@ def test_tiles_touch_every_face_that_they_show(appearance: Appearance) -> None:
     for view in drawn_views(8, seed=5):
         arguments = laid_out(appearance, [view])
         faces = np.zeros((at.FACES, at.FIELDS), np.float32)
-        count = project(appearance, arguments[1], 0, view[1], view[2], True, faces)
+        count = faces_of.project(appearance, arguments[1], 0, view[1], view[2], True, faces)
         for top, left in np.ndindex(3, 4):
             ends = [np.float32(end) for end in (48 * top, 48 * top + 47, 64 * left, 64 * left + 63)]
             touched = {face for face in range(1, count) if rays.touches(faces, face, *ends)}
@@ -259,7 +262,7 @@ def room() -> Column:
     return Column(rows, w[0], w[1], np.zeros(pieces, np.int32))
 
 
-@njit
+@kept()
 def draw(appearance: Any, faces: Any, room: Column, shown: Any, picture: Any) -> None:
     """What each pixel shows (ROWS, COLUMNS), and its luma."""
     for column in range(at.COLUMNS):
@@ -286,7 +289,7 @@ def test_columns_and_quads_are_the_picture(appearance: Appearance) -> None:
     shown = np.zeros((at.ROWS, at.COLUMNS), np.int16)
     drawn = np.zeros((48, at.ROWS, at.COLUMNS), np.uint8)
     for number, picture in enumerate(drawn):
-        project(appearance, arguments[1], number, arguments[3][number], arguments[4][number], True, faces)
+        faces_of.project(appearance, arguments[1], number, arguments[3][number], arguments[4][number], True, faces)
         draw(appearance, faces, room(), shown, picture)
     apart = np.abs(drawn.astype(int) - render_lanes("gray", *arguments))
     assert np.mean(apart > 0) <= 5e-5
@@ -304,7 +307,7 @@ def test_counts_without_a_double_division_are_v2es() -> None:
         assert np.abs(quick).max() > 5
 
 
-@njit
+@kept()
 def see_both(levels: Any, camera: Any, sensor: Any, plain: Any, full: Any) -> tuple[int, int]:
     """A picture as quads without noise see it, and as `events.update_pixel` does: ON minus OFF events."""
     quick = slow = 0
@@ -359,7 +362,7 @@ def test_quads_without_noise_see_what_pixels_see(sigma: float, negative: float) 
         np.testing.assert_array_equal(plain[0], full)
 
 
-@njit
+@kept()
 def see_apart(levels: Any, time_s: float, camera: Any, sensor: Any, pixels: Any, seed: int) -> Any:
     """As threads of a GPU see a picture, of four pixels each: they find the largest count, then begin anew."""
     signed, most = np.zeros(levels.shape, np.int64), np.ones(1, np.int32)

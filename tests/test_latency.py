@@ -193,55 +193,52 @@ def test_a_block_a_file_of_it_and_nothing(tmp_path: Path, monkeypatch: pytest.Mo
     assert validate(Task, {}, "task").latency == validate(LatencyConfig, shipped, "shipped")
 
 
+def read(profile: str, latency: Any = None) -> LatencyConfig:
+    """Of a configuration with such a block, or without one."""
+    keys = {"suite": "dp1", "clock_speed": [5], "profile": profile}
+    return validate(Dp1Config, keys if latency is None else {**keys, "latency": latency}, "dp1").latency
+
+
 def test_a_block_without_quantiles_changes_the_model_that_ships() -> None:
-    block = {"platform": {"tick_us": 70.0, "frames": {"hz": 30.0}}}
-    changed = validate(Dp1Config, {"suite": "dp1", "clock_speed": [5], "profile": "airsim", "latency": block}, "dp1")
-    shipped = shipped_latency("airsim")
-    assert changed.latency.reply_us == shipped.reply_us
-    assert (changed.latency.platform.tick_us, changed.latency.platform.frames.hz) == (70.0, 30.0)
-    assert changed.latency.platform.frames.stale_pose is shipped.platform.frames.stale_pose is True
-    own = validate(
-        Dp1Config, {"suite": "dp1", "clock_speed": [5], "latency": {"reply_us": {"call": [1.0] * 12}}}, "dp1"
+    changed, shipped = (
+        read("airsim", {"platform": {"tick_us": 70.0, "frames": {"hz": 30.0}}}),
+        shipped_latency("airsim"),
     )
-    assert own.latency == LatencyConfig(reply_us={"call": (1.0,) * 12}), "quantiles of one's own: all of it"
+    assert changed.reply_us == shipped.reply_us
+    assert (changed.platform.tick_us, changed.platform.frames.hz) == (70.0, 30.0)
+    assert changed.platform.frames.stale_pose is shipped.platform.frames.stale_pose is True
+    own = read("native", {"reply_us": {"call": [1.0] * 12}})
+    assert own == LatencyConfig(reply_us={"call": (1.0,) * 12}), "quantiles of one's own: all of it"
 
 
 def test_quantiles_of_ones_own_lose_no_platform_in_silence(tmp_path: Path) -> None:
-    keys = {"suite": "dp1", "clock_speed": [5], "profile": "airsim"}
     for own in (BLOCK, str(write(tmp_path, BLOCK))):
         with pytest.raises(UserError, match=r"own replace airsim's whole model: add its `platform`, or another$"):
-            validate(Dp1Config, {**keys, "latency": own}, "dp1")
+            read("airsim", own)
     for platform in ({}, {"tick_us": 70.0}):
-        found = validate(Dp1Config, {**keys, "latency": {**BLOCK, "platform": platform}}, "dp1").latency
+        found = read("airsim", {**BLOCK, "platform": platform})
         assert found.platform == PlatformConfig.model_validate(platform)
-
-
-def changed_latency(profile: str, **latency: Any) -> LatencyConfig:
-    """Of a configuration with such a block."""
-    keys = {"suite": "dp1", "clock_speed": [5], "profile": profile, "latency": latency}
-    return validate(Dp1Config, keys, "dp1").latency
 
 
 def test_a_factor_varies_one_channel_of_the_model_that_ships() -> None:
     """After any wait; what has no row of its own gets one of what it was drawn from."""
-
     shipped = shipped_latency("airsim")
-    slow = changed_latency("airsim", reply_us={"move": 4})
+    slow = read("airsim", {"reply_us": {"move": 4}})
     assert slow.reply_us["move"] == pytest.approx([4 * each for each in shipped.reply_us["move"]])
     assert slow.model_dump() == {
         **shipped.model_dump(),
         "reply_us": {**shipped.reply_us, "move": slow.reply_us["move"]},
     }
-    both = changed_latency("airsim", reply_us={"pause": 2}, request_us={"call": 0.5}, scale=3)
+    both = read("airsim", {"reply_us": {"pause": 2}, "request_us": {"call": 0.5}, "scale": 3})
     assert both.reply_us == {**shipped.reply_us, "pause": tuple(2 * x for x in shipped.reply_us["call"])}
     assert both.request_us["call"] == tuple(0.5 * each for each in shipped.request_us["call"])
     assert both.scale == 3
     once, thrice = (Latency(each, np.random.SeedSequence(0)) for each in (both.model_copy(update={"scale": 1.0}), both))
     assert thrice.request_ns("call") == 3 * once.request_ns("call") > 0
     assert thrice.reply_ns("pause") == 3 * once.reply_ns("pause") > 0
-    assert changed_latency("airsim", reply_us={"pause": 1}) == shipped
+    assert read("airsim", {"reply_us": {"pause": 1}}) == shipped
     measured = shipped_latency("native").reply_us
-    waited = changed_latency("native", reply_us={"move": 2, "pause@5ms": 3}).reply_us
+    waited = read("native", {"reply_us": {"move": 2, "pause@5ms": 3}}).reply_us
     changed = {name: tuple(2 * x for x in row) for name, row in measured.items() if name.startswith("move")}
     assert waited == {**measured, **changed, "pause@5ms": tuple(3 * x for x in measured["pause@5ms"])}
     assert len(changed) == 6
@@ -259,15 +256,14 @@ def test_a_factor_varies_one_channel_of_the_model_that_ships() -> None:
 )
 def test_a_factor_that_cannot_be_is_one_line(latency: dict[str, Any], text: str) -> None:
     with pytest.raises(UserError, match=text) as refused:
-        changed_latency("airsim", **latency)
+        read("airsim", latency)
     assert "\n" not in str(refused.value)
 
 
 def test_each_profile_has_a_model_that_ships() -> None:
     """AirSim's where a configuration says `airsim` and nothing of latency."""
     for profile, file in (("native", "latency.yaml"), ("airsim", "latency_airsim.yaml")):
-        config = validate(Dp1Config, {"suite": "dp1", "clock_speed": [5], "profile": profile}, "dp1")
-        assert config.latency == read_latency(experiment(file))
+        assert read(profile) == read_latency(experiment(file))
     assert read_latency(experiment("latency_airsim.yaml")).platform.tick_us > 0
     assert Dp1Config(suite="dp1", clock_speed=(5,), profile="airsim", latency=ZERO_LATENCY).latency == ZERO_LATENCY
 

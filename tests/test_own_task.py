@@ -181,6 +181,16 @@ def test_its_file_alone_is_a_training(here: Path) -> None:
         assert (config.env_id, config.simulator) == ("mine.py:Post", "mujoco")
 
 
+def test_a_file_that_imports_relatively_is_a_part_of_its_package(here: Path) -> None:
+    (here / "tasks" / "race").mkdir(parents=True)
+    for name, text in {"tasks/__init__": "", "tasks/base": POST, "tasks/race/__init__": ""}.items():
+        (here / f"{name}.py").write_text(text)
+    (here / "tasks/race/fast.py").write_text("from ..base import Post\n\nclass Fast(Post):\n    near_m: float = 3.0\n")
+    for name in ("tasks/race/fast.py", f"{here}/tasks/race/fast.py:Fast"):
+        with reading(RunRequest(name)) as (_, config):
+            assert (config.env_id, config.task.near_m) == ("tasks/race/fast.py:Fast", 3.0)
+
+
 def test_code_that_nobody_trusts_does_not_run(here: Path, said: Callable[[str], str]) -> None:
     (here / "post.py").write_text("raise SystemExit('it ran')\n")
     asks = f"{here}/post.py is code that nobody has trusted here: read it, then add --trust, once"
@@ -223,6 +233,8 @@ def test_unknown_keys_of_ones_own_task_are_found_too(here: Path, said: Callable[
     ("import no_such_module\n", "task 'mine.py': HERE/mine.py:1: ModuleNotFoundError: No module named"),
     (BARE, "task 'mine.py:Mine': Mine has no task_class"),
     (POST + MORE, "task 'mine.py': has 2 tasks: name one, mine.py:Post or mine.py:Free"),
+    (POST + "import uavaccel\nuavaccel.train(Post)\n", "HERE/mine.py: is imported for a class in it, and must not fly"),
+    (POST + "import uavaccel\nuavaccel.make_vec(Post, 2)\n", "HERE/mine.py: is imported for a class in it, and must"),
 ])  # fmt: skip
 def test_a_file_without_one_task_is_one_line(file: str, line: str, here: Path, said: Callable[[str], str]) -> None:
     (here / "mine.py").write_text(file)
@@ -287,7 +299,7 @@ def test_a_start_where_nothing_flies_is_one_line(
 def test_actions_want_their_algorithm(here: Path, said: Callable[[str], str]) -> None:
     for task, algorithm, needed in (("Post", "ppo", "double_dqn"), ("Free", "double_dqn", "ppo")):
         line = said(f"train {yaml_of(here, task)} --dry-run --set algorithm={algorithm} --set options={{}}")
-        assert line.startswith(f"own.yaml: algorithm {algorithm} does not learn post.py:{task}, whose actions are ")
+        assert line.startswith(f"--set: algorithm {algorithm} does not learn post.py:{task}, whose actions are ")
         assert line.endswith(f"it needs algorithm {needed}")
     wide = MORE.replace("Free", "Wide").replace("Task.action_space(self)", "Box(-3.0, 3.0, (3,))")
     (here / "wide.py").write_text(f"{POST}{wide}")

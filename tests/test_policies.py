@@ -184,6 +184,8 @@ def test_an_action_stays_what_it_is() -> None:
     single = Space(REACH.observation_space, spaces.Box(-1.0, 1.0, ()))
     assert load_policy(lambda seen: 0.5, single)(np.zeros(4)) == 0.5
     assert load_policy(lambda seen: np.int8(3), PICK)(np.zeros(4)) == 3
+    for given in ([0.5, 0.25], np.full(2, 0.1), [0, 0]):  # as an environment asks that looks whether it is in its space
+        assert load_policy(lambda seen, given=given: given, REACH)(np.zeros(4)).dtype == np.float32
     several = Space(REACH.observation_space, spaces.MultiDiscrete([2, 3]))
     assert load_policy(lambda seen: [1, 2], several)(np.zeros(4)) == [1, 2]
     with pytest.raises(UserError, match=r"returned \[2, 2\], where an action is one of MultiDiscrete\(\[2 3\]\)$"):
@@ -196,6 +198,7 @@ def test_an_action_stays_what_it_is() -> None:
         (REACH, [0.1], r"float64 \(1,\), where an action is \(2,\)"),
         (REACH, 0.1, r"0.1, where an action is \(2,\)"),
         (REACH, [0.1, float("nan")], r"float64 \(2,\) with NaN or infinity, where an action is \(2,\)"),
+        (REACH, [1e300, 0.0], r"float32 \(2,\) with NaN or infinity, where an action is \(2,\)"),
         (REACH, ["a", "b"], r"<U1 \(2,\), where an action is \(2,\)"),
         (REACH, [[0.1], [0.1, 0.2]], r"\[\[0.1\], \[0.1, 0.2\]\], where an action is \(2,\)"),
         (REACH, None, r"None, where an action is \(2,\)"),

@@ -84,6 +84,34 @@ def test_a_class_without_a_file_of_its_own_is_not_trained() -> None:
         uavaccel.train(Hover, games=1)
 
 
+def test_a_class_that_other_processes_cannot_import_is_one_line() -> None:
+    class Local(PostTask):
+        pass
+
+    with pytest.raises(
+        UserError, match=r"\.Local: is in no file, or in a function, and so unknown in other processes: "
+    ):
+        uavaccel.make_vec(Local, 2)
+    with pytest.raises(UserError, match=r"^Local: is not in a file of your own: "):
+        uavaccel.train(Local)
+
+
+@pytest.mark.slow
+def test_a_batch_flies_a_task_of_the_program_itself(tmp_path: Path) -> None:
+    own = "class Own(Hover):\n    near_m: float = 1.0\n\n"
+    begin = "import uavaccel\nfrom uavaccel.envs.hover import HoverTask as Hover\n"
+    fly = "print(uavaccel.make_vec(Own, 2).reset(seed=0)[0].shape)\n"
+    for guard, said in (
+        ("if __name__ == '__main__':\n    ", "(2, 13)"),
+        ("", "must not fly then: put what flies below"),
+    ):
+        (tmp_path / "program.py").write_text(begin + own + guard + fly)
+        flown = subprocess.run(
+            [sys.executable, "program.py"], cwd=tmp_path, capture_output=True, text=True, check=False
+        )
+        assert said in flown.stdout + flown.stderr
+
+
 @pytest.mark.slow
 @pytest.mark.usefixtures("trainings_here")
 def test_trainings_and_evaluations_are_flown_from_python(tmp_path: Path) -> None:

@@ -157,6 +157,13 @@ def test_the_users_own_default_action_stays_as_it_is() -> None:
     assert applied(env, [[0.25]]) == [-0.5, -0.5, -0.5, 0.25]
 
 
+@pytest.mark.parametrize("space", [spaces.MultiBinary(2), spaces.MultiDiscrete([2, 3])])
+def test_a_default_action_of_several_parts_is_an_array(space: spaces.MultiBinary | spaces.MultiDiscrete) -> None:
+    given = LoopOptions(default_action=[1, 0]).idle_action(space)
+    assert isinstance(given, np.ndarray)
+    assert (given.dtype, given.tolist()) == (space.dtype, [1, 0])
+
+
 def test_a_step_that_somebody_has_put_in_stays_there() -> None:
     """As profilers and recorders do, below a wrapper whose steps are counted."""
     env, seen = Counting(), list[Any]()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -129,7 +130,7 @@ def test_on_the_machines_clock_an_agent_sleeps_for_its_latency(monkeypatch: pyte
     def noting(returned: Any) -> Any:
         return lambda *given: (met.append(given[2:]), returned)[1]  # type: ignore[func-returns-value]
 
-    monkeypatch.setattr(agents, "measured", noting(SimpleNamespace(close=lambda: None)))
+    monkeypatch.setattr(agents, "measured", noting(SimpleNamespace(close=lambda: None, unwrapped=None)))
     monkeypatch.setattr(agents, "policy_of", lambda *_: None)
     monkeypatch.setattr(agents, "fly_episode", noting((1.0, 0.0, 0.0)))
     config = configured("realtime_smoke", *TINY, "agents={slow: {latency_factor: 3}}", timing="wall")
@@ -352,6 +353,10 @@ def test_what_is_flown_is_what_the_simulated_clock_models(run: RunDirectory, tmp
             "environments={x: {id: uavaccel/Hover-v0, keys: {timing: wall}}}",
             "environments.x.keys: a drone has timing of",
         ),
+        (
+            "environments={x: {id: FrozenLake-v1, default_action: 0, period_s: 1}}",
+            r"environments.x, agents.naive: PPO learns from a Box of observations, not from Discrete\(16\)",
+        ),
         ("agents={a: {training_delay_s: [0.2, 0.1]}}", "training_delay_s must rise"),
         ("agents={a/b: {}}", "'a/b' names files: letters, digits and _ alone"),
         ("latency_s=[0.1, 0.1]", "latency_s has a latency twice"),
@@ -362,6 +367,31 @@ def test_what_does_not_fit_is_one_line(override: str, said: str) -> None:
     with pytest.raises(UserError, match=said) as caught:
         Realtime().check(configured("realtime_smoke", *TINY, override))
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("name", "step", "said"),
+    [
+        ("Blurred", "return np.zeros(4), np.nan, False, False, {}", "Blurred-v0: a reward or an observation is NaN"),
+        ("Broken", "raise KeyError('no motor')", "broken_cart.py:7: Cart.step: KeyError: 'no motor'"),
+    ],
+)
+def test_a_mistake_of_ones_own_environment_is_one_line(
+    name: str, step: str, said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "broken_cart.py").write_text(
+        "import gymnasium\nimport numpy as np\nfrom gymnasium.envs.classic_control import CartPoleEnv\n\n"
+        f"class Cart(CartPoleEnv):\n    def step(self, action):\n        {step}\n\n"
+        f"gymnasium.register('{name}-v0', Cart, max_episode_steps=3, disable_env_checker=True)\n"
+        "def act(seen):\n    return 1\n"
+    )
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    monkeypatch.chdir(tmp_path)
+    environment = f"environments={{x: {{id: 'broken_cart:{name}-v0', default_action: 0, train_steps: 8}}}}"
+    for agent in ("{}", "{policies: {x: 'broken_cart.py:act'}}"):
+        with trusting(), pytest.raises(UserError, match=said):
+            flown(tmp_path / "run", environment, f"agents={{a: {agent}}}")
+        shutil.rmtree(tmp_path / "run")
 
 
 def test_a_module_with_environments_runs_when_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

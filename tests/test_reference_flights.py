@@ -151,7 +151,7 @@ def rms(errors: Array) -> float:
 
 
 @pytest.mark.parametrize("case", CASES)
-def test_a_reference_flight_is_flown_again(fly: Callable[[str], Flight], case: str) -> None:
+def test_a_reference_flight_is_flown_again_to_its_tick(fly: Callable[[str], Flight], case: str) -> None:
     flight, expected = fly(case), reference(case)
     ticks = expected["tick"]
     attitude = stack(expected, "qw qx qy qz")
@@ -160,6 +160,9 @@ def test_a_reference_flight_is_flown_again(fly: Callable[[str], Flight], case: s
     assert rms(flight.at(ticks, "velocity") - stack(expected, "vx vy vz")) < VELOCITY_RMS_M_S
     assert rms(flight.at(ticks, "rate") - stack(expected, "wx wy wz")) < RATE_RMS_RAD_S
     assert rms(angle[:, None]) < ATTITUDE_RMS_RAD
+    assert flight.commands[:, 0].tolist() == ticks_of(case, "cmd_issue")
+    assert flight.commands[:, 1].tolist() == ticks_of(case, "cmd_end")
+    assert flight.hover_ticks() == ticks_of(case, "hover_mode"), "position hold sets in where AirSim's does"
 
 
 @pytest.mark.parametrize("case", ["B_vx1_10s", "D_climb_descend", "F_sq_T1_r1"])
@@ -170,14 +173,6 @@ def test_rotors_are_commanded_and_lag_as_in_airsim(fly: Callable[[str], Flight],
     for field, column in (("rotor_input", "cmd"), ("rotor_output", "uf")):
         ours, theirs = flight.at(ticks, field), stack(expected, " ".join(f"{column}{i}" for i in range(4)))
         np.testing.assert_allclose(ours, theirs, rtol=0, atol=1e-4)
-
-
-@pytest.mark.parametrize("case", CASES)
-def test_commands_end_and_position_hold_sets_in_at_airsims_ticks(fly: Callable[[str], Flight], case: str) -> None:
-    flight = fly(case)
-    assert flight.commands[:, 0].tolist() == ticks_of(case, "cmd_issue")
-    assert flight.commands[:, 1].tolist() == ticks_of(case, "cmd_end")
-    assert flight.hover_ticks() == ticks_of(case, "hover_mode")
 
 
 def test_a_command_lasts_the_first_multiple_of_21_ms() -> None:

@@ -11,7 +11,8 @@ from typing import Any
 
 import pytest
 
-from tests.airsim_wire import AirSimWire, level_pose, vector
+from tests.airsim_wire import AirSimWire
+from tests.flying import point, pose
 from uavaccel.sim.simulation import DeferredReply
 from uavaccel.sim.world import START_M
 from uavaccel.wire import rpc
@@ -19,9 +20,9 @@ from uavaccel.wire.api import CALLS
 
 NAN, INF, HUGE = float("nan"), float("inf"), 1 << 70
 YAW = {"is_rate": True, "yaw_or_rate": 0.0}
-HERE = level_pose(0.0, 0.0, -10.0)
+HERE = pose(0.0, 0.0, -10.0)
 PATH = (2.0, 60.0, 0, YAW)
-MOVING = {"linear_velocity": vector(0.0, 0.0, 0.0), "angular_velocity": vector(0.0, 0.0, 0.0)}
+MOVING = {"linear_velocity": point(0.0, 0.0, 0.0), "angular_velocity": point(0.0, 0.0, 0.0)}
 NOBODY = (
     "Vehicle API for 'Nobody' is not available. This could either because this is simulation-only API or this vehicle "
     "does not exist; there is 'SimpleFlight'"
@@ -36,9 +37,9 @@ PHRASE = (
     "information: {reason}."
 )
 PARAMETERS: dict[str, Any] = {  # of calls that name a vehicle, by their names
-    "yaw_mode": YAW, "path": [vector(0, 0, -9)], "pose": HERE, "state": {**HERE, **MOVING}, "rcdata": {},
+    "yaw_mode": YAW, "path": [point(0, 0, -9)], "pose": HERE, "state": {**HERE, **MOVING}, "rcdata": {},
     "requests": [{}], "kp": [0.2] * 3, "ki": [0.0] * 3, "kd": [0.0] * 3, "param_name": "K1",
-    "point": vector(1, 0, -9), "latitude": 47.64, "longitude": -122.14, "altitude": 130.0, "lookahead": -1.0,
+    "point": point(1, 0, -9), "latitude": 47.64, "longitude": -122.14, "altitude": 130.0, "lookahead": -1.0,
 }  # fmt: skip
 
 

@@ -1,11 +1,11 @@
 """`uavaccel serve` as a user meets it: a process, its lines, its end."""
 
 import os
+import re
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -23,74 +23,45 @@ from uavaccel.wire.settings import Settings
 
 pytestmark = pytest.mark.wall_clock
 
-COMMAND = [sys.executable, "-m", "uavaccel", "serve"]
 ROOT = Path(__file__).parents[1]
-
-
-@contextmanager
-def serving(*options: str) -> Iterator["subprocess.Popen[str]"]:
-    with subprocess.Popen(
-        [*COMMAND, "--port", "0", *options], cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
-    ) as process:
-        try:
-            yield process
-        finally:
-            process.kill()
-
-
-BUSY = "warning: the machine does not keep up"
-
-
-def line_of(process: "subprocess.Popen[str]") -> str:
-    """The next line, but for what the machine's other work makes it say."""
-    assert process.stdout is not None
-    line = process.stdout.readline()
-    return line_of(process) if line.startswith(BUSY) else line
-
-
-def rest_of(process: "subprocess.Popen[str]") -> list[str]:
-    """What it says until its end."""
-    rest, _ = process.communicate(timeout=600)
-    return [line for line in rest.splitlines() if not line.startswith(BUSY)]
-
-
-def port_of(process: "subprocess.Popen[str]", rest: str) -> int:
-    """The port in the line below that of its page, which ends so."""
-    assert line_of(process).startswith("watch at http://127.0.0.1:")
-    line = line_of(process)
-    assert line.endswith(rest)
-    return int(line.partition(":")[2].partition(":")[0])
 
 
 def test_it_serves_settings_names_what_it_does_not_know_and_a_signal_ends_it(tmp_path: Path) -> None:
     path = tmp_path / "settings.json"
     path.write_text('{"ApiServerPort": 41452, "ClockSpeed": 20, "ViewMode": "Fpv", "Vehicles": {"Drone1": {}}}')
+    options = ["--port", "0", "--settings", str(path), "--recordings", str(tmp_path / "there"), "--watch"]
+    command = [sys.executable, "-m", "uavaccel", "serve", *options]
     with (
-        serving("--settings", str(path), "--recordings", str(tmp_path / "there"), "--watch") as process,
-        client_of(port := port_of(process, ": scene blocks, profile native, ClockSpeed 20\n")) as client,
+        subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) as process,
+        ExitStack() as stack,
     ):
-        assert port != 41452, "the option is 0: any that is free"
+        stack.callback(process.kill)
+        busy = "warning: the machine does not keep up"  # with its other work
+        lines = (line.removesuffix("\n") for line in process.stdout or () if not line.startswith(busy))
+        assert next(lines).startswith("watch at http://127.0.0.1:")
+        told = re.fullmatch(r"listening on [\d.]+:(\d+): scene blocks, profile native, ClockSpeed 20", next(lines))
+        assert told is not None
+        assert told[1] != "41452", "the option is 0: any that is free"
+        client = stack.enter_context(client_of(int(told[1])))
         client.confirmConnection()
-        assert line_of(process) == (
-            "Drone1 hovers 10 m up; the clock runs and API control is off, as in AirSim; Ctrl-C stops\n"
-        )
-        assert line_of(process) == f"{path}: without effect here: ViewMode\n"
+        assert next(lines) == "Drone1 hovers 10 m up; the clock runs and API control is off, as in AirSim; Ctrl-C stops"
+        assert next(lines) == f"{path}: without effect here: ViewMode"
         assert not client.simIsPause()
         client.enableApiControl(True)
         client.startRecording()
         [recording] = (tmp_path / "there").glob(f"*/{FILE_NAME}")
-        assert line_of(process) == f"recording to {recording}\n"
+        assert next(lines) == f"recording to {recording}"
         client.moveByVelocityAsync(1, 0, 0, 1).join()
         for _ in range(3):
             client.client.call_async("moveNowhere", 1).join()  # says nothing of its error, as AirSim's
         client.client.call_async("moveByVelocity", "fast", 0, 0, 1, 0, {}).join()
         client.client.call_async("move\x1b[2J\n").join()
-        assert line_of(process) == "warning: moveNowhere is not known here\n"
-        assert line_of(process) == "warning: moveByVelocity was refused: vx must be a number, not str\n"
-        assert line_of(process) == "warning: move?[2J? is not known here\n"
+        assert next(lines) == "warning: moveNowhere is not known here"
+        assert next(lines) == "warning: moveByVelocity was refused: vx must be a number, not str"
+        assert next(lines) == "warning: move?[2J? is not known here"
         os.kill(process.pid, signal.SIGINT)
-        stopped, first, *others = rest_of(process)
-    assert process.returncode == 0
+        stopped, first, *others = lines
+        assert process.wait() == 0
     assert stopped.startswith("stopped; requested 20x, achieved ")
     assert (first, len(others)) == ("  3 x moveNowhere is not known here", 2)
     assert len(recording.read_text().splitlines()) > 20  # closed with what had not been written yet

@@ -11,7 +11,7 @@ import socket
 from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any, cast
+from typing import Any
 
 import pytest
 
@@ -103,9 +103,10 @@ def test_a_long_command_is_no_silence_of_a_dead_server(monkeypatch: pytest.Monke
     """One of 2.5 s: at 1 s the server is asked whether it is there, and says so; its answer comes when it is due."""
     clock, asked = VirtualClock(), list[int]()
     monkeypatch.setattr(transport, "MonotonicClock", lambda: clock)
-    watch = SimpleNamespace(answered=lambda: asked.append(clock.now_ns()), check=lambda: asked.append(-1))
+    server: Any = SimpleNamespace(answered=lambda: asked.append(clock.now_ns()), check=lambda: asked.append(-1))
     with socket.create_server(("127.0.0.1", 0)) as listener:
-        client: Any = SocketTransport("127.0.0.1", listener.getsockname()[1], watch=cast(WatchedServer, watch))
+        server.port = listener.getsockname()[1]
+        client: Any = SocketTransport(server)
         peer, _ = listener.accept()
         command = client.send("moveByVelocity", (), blocking=False)
         command.channel, command.expected_ns = "continue_for", 2_500_000_000

@@ -67,7 +67,7 @@ def test_defaults_are_airsims(tmp_path: Path) -> None:
     ({"SensorSeed": 10**400}, "SensorSeed = "),
     ({"Recording": {"RecordInterval": -1}}, "Recording.RecordInterval = -1"),
     ({"Wind": {"X": "strong"}}, "Wind.X = 'strong'"),
-    ({"Wind": {"X": 1000}}, "Wind = {'X': 1000}: must be at most 100 m/s, not 1000"),
+    ({"Wind": {"X": 1000}}, "Wind = {'X': 1000}: wind must be at most 100 m/s, not 1000"),
     ({"ClockSpeed": 1e6}, "ClockSpeed = 1000000.0: should be less than or equal to 100000"),
     ([1], "settings should be a mapping in braces, not list"),
     ('{"ClockSpeed": 5,}', "not JSON: "),

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numba import njit
 from numpy.typing import NDArray
 
 from tests.clutter import KINDS, clutter
+from tests.compiling import kept
 from tests.lanes import SideBySide
 from uavaccel.envs.hover import Hover
 from uavaccel.envs.kernel_batch import KernelBatch
@@ -35,7 +35,7 @@ FAR_M = 1000.0
 TOLERANCE_M = 1e-6  # of MuJoCo's own search for contacts
 
 
-@njit(error_model="numpy")
+@kept(error_model="numpy")
 def cast_all(scene: Any, origin: Any, rays: Any, distances: Any, items: Any, normals: Any) -> None:
     for ray in range(len(rays)):
         direction = rays[ray, 0], rays[ray, 1], rays[ray, 2]
@@ -48,14 +48,14 @@ def cast_all(scene: Any, origin: Any, rays: Any, distances: Any, items: Any, nor
             normals[ray, 0], normals[ray, 1], normals[ray, 2] = normal
 
 
-@njit(error_model="numpy")
+@kept(error_model="numpy")
 def touch_all(scene: Any, poses: Any, radius: float, half: float, found: Any, bounds: Any) -> None:
     for pose in range(len(poses)):
         found[pose], _ = deepest_shape(scene, 0, poses[pose], radius, half, (0, 1))
         bounds[pose] = nearest_shape(scene, 0, poses[pose], (0, 1))
 
 
-@njit(error_model="numpy")
+@kept(error_model="numpy")
 def not_in_tiles(scene: Any, camera: Any, eye: Any, size: Any, met: Any) -> int:
     """How many pixels see what is not in their tile, or nearer than it is listed; with shapes and distances `met`."""
     missed = 0

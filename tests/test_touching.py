@@ -11,24 +11,22 @@ from tests.simulating import fly_velocity, go_to, put_vehicle, simulate
 from uavaccel.errors import UserError
 from uavaccel.kinematics import VelocityGoal
 from uavaccel.sim.poses import LEVEL
-from uavaccel.sim.profile import NATIVE, Profile
+from uavaccel.sim.profile import NATIVE
 from uavaccel.sim.simulation import Simulation
 from uavaccel.sim.vehicle.quadrotor import air_density
-from uavaccel.sim.vehicle.vehicle import AddedVehicle, Start
 from uavaccel.sim.world import World
-from uavaccel.wire.api import Api
 
-HULL_HALF_HEIGHT_M, HULL_RADIUS_M = 0.045, 0.3418  # of quadrotor.xml
+HULL_HALF_HEIGHT_M = 0.045  # of quadrotor.xml
 
 
-def dropped(profile: Profile, height_m: float) -> tuple[Simulation, Api]:
+def dropped(height_m: float) -> Simulation:
     """A vehicle without thrust, `height_m` up."""
-    simulation = simulate(1.0, profile)
+    simulation = simulate()
     simulation.lead.arm(False)
     simulation.world.lead.state["rotor_input"] = simulation.world.lead.state["rotor_lagged"] = 0.0
     simulation.world.lead.state["rotor_output"] = 0.0
     put_vehicle(simulation.world, (0.0, 0.0, -height_m))
-    return simulation, Api(simulation)
+    return simulation
 
 
 def test_in_the_lane_a_teleport_ends_a_collision() -> None:
@@ -44,7 +42,7 @@ def test_in_the_lane_a_teleport_ends_a_collision() -> None:
 
 def test_the_velocity_is_that_of_the_path_while_contacts_push() -> None:
     """Midway between two drifts, whatever pushed: a central difference of the positions, tilted on the ground."""
-    simulation, _ = dropped(NATIVE, 0.3)
+    simulation = dropped(0.3)
     put_vehicle(simulation.world, (0.0, 0.0, -0.3), (0.95, 0.3, 0.05, 0.0), (1.0, 0.5, 0.0))
     dt, positions, velocities, touching = NATIVE.tick_s, [], [], []
     for tick in range(300):
@@ -83,7 +81,7 @@ def test_where_nothing_can_fly_nothing_is_put() -> None:
 
 
 def test_the_ground_and_the_top_of_the_air_can_be_flown_from() -> None:
-    simulation, _ = dropped(NATIVE, 1.0)
+    simulation = dropped(1.0)
     for z_m in (0.0, -HULL_HALF_HEIGHT_M, -15_000.0, 122.0 - 20_000.0):
         put_vehicle(simulation.world, (0.0, 0.0, z_m))
         go_to(simulation, simulation.world.tick + 1000)
@@ -118,19 +116,6 @@ def test_what_touches_something_and_rests_has_landed(contacts: int, speed_m_s: f
     for direction in np.eye(3):
         vehicle.state["velocity"] = speed_m_s * direction
         assert vehicle.landed is landed
-
-
-def test_what_was_touched_is_known_after_another_vehicle_came() -> None:
-    world = World("blocks", NATIVE)
-    put_vehicle(world, (0.0, 0.0, -0.5))
-    world.lead.state["armed"] = 0
-    world.advance(500)
-    log = world.lead.contact_log
-    before = log.count, log.first, log.latest
-    assert before[0] > 0
-    world.add_vehicles([AddedVehicle("Second", Start((5.0, 0.0, -3.0)))])
-    assert (world.lead.contact_log.count, world.lead.contact_log.first, world.lead.contact_log.latest) == before
-    assert world.lead.contact_log.read()
 
 
 def test_gains_are_restored_whichever_were_set() -> None:

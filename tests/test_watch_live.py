@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.flying import STRAIGHT, call, hovering, point
+from tests.flying import STRAIGHT, call, hovering, pose
 from tests.learning import tiny_config
 from tests.running import configured, fly_into
 from uavaccel.cli.experiments import run_experiment
@@ -136,8 +136,7 @@ def test_a_command_leads_by_its_velocity_or_to_its_place(
 ) -> None:
     api = hovering()
     call(api, method, *params)
-    level = {"w_val": 1.0, "x_val": 0.0, "y_val": 0.0, "z_val": 0.0}
-    call(api, "simSetVehiclePose", {"position": point(2.0, 1.0, -10.0), "orientation": level}, True)
+    call(api, "simSetVehiclePose", pose(2.0, 1.0, -10.0), True)
     assert heading(api.simulation.world.lead) == (None if towards is None else pytest.approx(towards))
 
 

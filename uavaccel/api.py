@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from uavaccel.config import Config, dotted_keys
 from uavaccel.errors import UserError, suggestion
-from uavaccel.own_code import file_of
+from uavaccel.own_code import check_not_importing, file_of
 from uavaccel.records import RunDirectory
 
 if TYPE_CHECKING:  # it loads Gymnasium
@@ -124,6 +124,7 @@ def _environment(task: Any) -> type[FlightEnv[Any]]:
 def _flown(request: RunRequest) -> RunDirectory:
     from uavaccel.suites.session import planned, resumable
 
+    check_not_importing()
     with planned(request) as plan, resumable(plan):
         run = plan.begin(lambda line: None)
         plan.fly(run, lambda case, row: None)
@@ -143,7 +144,7 @@ def _overrides(keys: Mapping[str, Any]) -> list[str]:
 def _file_and_class(task: type) -> str:
     """Return "file.py:Class". Raises UserError for a class without a file of one's own."""
     file = file_of(task)
-    if file is not None:
+    if file is not None and "<locals>" not in task.__qualname__:
         return f"{file}:{task.__qualname__}"
     own = "is not in a file of your own: write it into one, or name a training that ships, as hover_ppo"
     raise UserError(f"{task.__name__}: {own}")

@@ -171,13 +171,23 @@ def validate(
     try:
         return cls.model_validate_json(json.dumps(mapping), strict=True)
     except ValidationError as error:
-        key = _dotted(mapping, _leading(error))
-        options = (option for own, option in (given or {}).items() if f"{key}.".startswith(f"{own}."))
-        raise UserError(f"{next(options, source)}: {_explain(cls, mapping, error)}") from error
+        first = _leading(error)
+        giver = _giver(_dotted(mapping, first), first["msg"], given or {}, source)
+        raise UserError(f"{giver}: {_explain(cls, mapping, error)}") from error
     except UserError as error:  # raised by a validator
-        raise type(error)(f"{source}: {error}") from error
+        giver, said = _giver("", str(error), given or {}, source), str(error)
+        raise type(error)(said if said.startswith(giver) else f"{giver}: {said}") from error
     except (TypeError, ValueError) as error:
         raise UserError(f"{source}: not made of text, numbers, lists and mappings: {error}") from error
+
+
+def _giver(key: str, said: str, given: Mapping[str, str], source: str) -> str:
+    """Return the option that gave a key, or one of those that an error names; else `source`."""
+    for own, option in given.items():
+        name = own.rstrip(".0123456789").rpartition(".")[2]  # of a list's element, the list's
+        if f"{key}.".startswith(f"{own}.") or re.search(rf"\b{re.escape(name)}\b", f"{key} {said}"):
+            return option
+    return source
 
 
 def to_yaml(config: Config) -> str:
@@ -280,17 +290,17 @@ def suggested_key(tree: KeyTree, path: Sequence[str | int], unknown: str) -> str
 
 
 _FLOAT = "tag:yaml.org,2002:float"
-_TIMESTAMP = "tag:yaml.org,2002:timestamp"
+_INT, _TIMESTAMP = "tag:yaml.org,2002:int", "tag:yaml.org,2002:timestamp"
 _NOT_PLAIN = {_TIMESTAMP, *(f"tag:yaml.org,2002:{kind}" for kind in ("binary", "omap", "pairs", "set"))}
 _EXPONENT_ALONE = re.compile(r"[-+]?[0-9]+[eE][-+]?[0-9]+$")
-
+_WHOLE = re.compile(r"[-+]?[0-9][0-9_]*$|0x[0-9a-fA-F]+$")  # neither 010 for 8 nor 1:30 for 90, as YAML 1.1 has it
 
 _RESOLVERS = {
-    first: [(tag, pattern) for tag, pattern in rules if tag != _TIMESTAMP]
+    first: [(tag, pattern) for tag, pattern in rules if tag not in (_INT, _TIMESTAMP)]
     for first, rules in yaml.SafeLoader.yaml_implicit_resolvers.items()
 }
 for _first in "-+0123456789":
-    _RESOLVERS.setdefault(_first, []).append((_FLOAT, _EXPONENT_ALONE))
+    _RESOLVERS.setdefault(_first, []).extend([(_INT, _WHOLE), (_FLOAT, _EXPONENT_ALONE)])
 MOST_VALUES = 1_000_000
 MOST_LEVELS = 5_000  # of nesting, far below those at which libyaml crashes
 
@@ -311,6 +321,12 @@ class _Rules(SafeConstructor):
                 raise ConstructorError(problem=problem, problem_mark=key.start_mark)
             seen.add(key.value)
         return super().construct_mapping(node, deep)
+
+    def construct_yaml_int(self, node: yaml.ScalarNode) -> int:
+        return int(node.value, 16 if node.value.startswith("0x") else 10)
+
+
+_Rules.add_constructor(_INT, _Rules.construct_yaml_int)
 
 
 class _Loader(_Rules, yaml.SafeLoader):
@@ -360,7 +376,9 @@ def parse_yaml(text: str, source: str) -> Plain:
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         line = f" line {mark.line + 1}:" if mark else ""
-        raise UserError(f"{source}:{line} {error.problem or error.context}") from error
+        said = error.problem or error.context
+        said = f"{error.context}, {said}" if str(said).startswith("but ") else said  # the half of a sentence
+        raise UserError(f"{source}:{line} {said}") from error
     except RecursionError:
         raise UserError(f"{source}: not YAML: nested too deep") from None
     except (yaml.YAMLError, ValueError) as error:

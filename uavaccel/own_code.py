@@ -32,6 +32,8 @@ _noted: list[Path] = []
 """Folders that runs and policies name, in which only remembered code may run."""
 _imported: dict[str, Path] = {}
 """The files of the modules that were imported in this process."""
+_importing: list[Path | str] = []
+"""Those that are being imported."""
 
 
 @contextmanager
@@ -122,7 +124,7 @@ def own_module(name: str, where: str) -> ModuleType:
         sys.modules.pop(name, None)
     try:
         with errors_named(file, where):
-            module = import_module(name)
+            module = import_alone(name, file)
     except (ImportError, SyntaxError) as error:  # of a module that it imports
         raise UserError(f"{where}: {error}") from error
     if Path(module.__file__ or "").resolve() != file:
@@ -131,17 +133,54 @@ def own_module(name: str, where: str) -> ModuleType:
     return module
 
 
+def import_alone(name: str, file: Path | None = None) -> ModuleType:
+    """Import a module for a class in it. A program that would fly there, or start processes, is refused."""
+    _importing.append(file or name)
+    try:
+        return import_module(name)
+    finally:
+        _importing.pop()
+
+
+def check_not_importing() -> None:
+    """Raise UserError where a program flies while it is imported for a class in it, which would never end."""
+    if _importing:
+        raise UserError(
+            f"{_importing[-1]}: is imported for a class in it, and must not fly then: put what flies below "
+            "`if __name__ == '__main__':`"
+        )
+
+
 def file_of(owner: type) -> Path | None:
     """Return the file of a class; None for a class of this package, and for one without a file."""
     module = sys.modules[owner.__module__]
-    shipped = module.__name__.partition(".")[0] == __package__
-    return None if shipped or not getattr(module, "__file__", None) else Path(str(module.__file__)).resolve()
+    file, shipped = getattr(module, "__file__", None), module.__name__.partition(".")[0] == __package__
+    return Path(file).resolve() if file and not shipped and Path(file).is_file() else None
 
 
 def folder_of(owner: type) -> Path | None:
     """Return the folder from which the module of a class is imported; None as `file_of` has it."""
     file = file_of(owner)
-    return file and file.parents[owner.__module__.count(".") + (file.name == "__init__.py")]
+    return file and file.parents[_name_of(owner, file).count(".") + (file.name == "__init__.py")]
+
+
+def place_of(owner: type) -> str:
+    """Return "module:Class" of a class, by which other processes import it. Raises UserError where none can."""
+    file = file_of(owner)
+    if "<locals>" in owner.__qualname__ or (owner.__module__ == "__main__" and file is None):
+        raise UserError(
+            f"{owner.__qualname__}: is in no file, or in a function, and so unknown in other processes: write it into "
+            "a file of its own, or take simulator = kernels"
+        )
+    return f"{_name_of(owner, file)}:{owner.__qualname__}"
+
+
+def _name_of(owner: type, file: Path | None) -> str:
+    """Return the name by which the module of a class can be imported, also where it is the program's own."""
+    if owner.__module__ != "__main__" or file is None:
+        return owner.__module__
+    spec = sys.modules["__main__"].__spec__  # of `python -m package.module`
+    return file.stem if spec is None else spec.name
 
 
 @contextmanager

@@ -206,7 +206,7 @@ class Untyped:
         kind = inspect.Parameter.POSITIONAL_OR_KEYWORD
         parameters = [inspect.Parameter(each, kind) for each in ("self", *required)]
         parameters += [inspect.Parameter(default, kind, default=value) for default, value in defaults.items()]
-        self._signature = signature = inspect.Signature(parameters)
+        signature = inspect.Signature(parameters)
 
         def declared(*arguments: object, **named: object) -> object:
             return signature.bind(*arguments, **named)

@@ -157,7 +157,7 @@ class TracingTransport(Transport):
     """A transport that records when the client calls, when it continues, and when it has its reply."""
 
     def __init__(self, inner: Transport) -> None:
-        super().__init__(inner.clock, exclusive=False)
+        super().__init__(inner.clock)
         self.known = inner.known
         self.events: list[ClientEvent] = []
         self._inner = inner

@@ -160,7 +160,7 @@ def schema_text(suite: str) -> str:
 
 SHOWN = ".zip (SB3), .onnx, .pt (TorchScript), file.py:function, module:function, tcp://host:port, or a run's folder."
 Named = Annotated[str, typer.Argument(metavar="POLICY", help=SHOWN)]
-Environment = Annotated[str, typer.Argument(metavar="ENV", help="The id of a Gymnasium environment.")]
+Environment = Annotated[str, typer.Argument(metavar="ENV", help="The id of a Gymnasium environment, or module:ID.")]
 Answer = Annotated[float, option("S", "Seconds that a policy server has to answer.")]
 Seed = Annotated[int, option("N", "Seed of the first episode.", min=0)]
 Sets = Annotated[
@@ -248,11 +248,13 @@ def _latencies(given: Sequence[str], factors: Sequence[float]) -> tuple[list[flo
 def _environment(env_id: str, policy: str, overrides: list[str] | None) -> tuple[Callable[[], Any], dict[str, Any]]:
     """Return what makes an environment, by default as a policy of this project had it, and RealTime's arguments."""
     from dataclasses import fields
+    from importlib.util import find_spec
 
     import gymnasium
 
     from uavaccel.config import apply_overrides
     from uavaccel.errors import suggestion
+    from uavaccel.own_code import own_module
     from uavaccel.realtime.control_loop import LoopOptions
 
     keys = apply_overrides({}, overrides or ())
@@ -270,8 +272,11 @@ def _environment(env_id: str, policy: str, overrides: list[str] | None) -> tuple
         raise UserError(f"--set {key}: RealTime has no such argument; {suggestion(key, [*known, 'env.KEY'])}")
 
     def make() -> Any:
+        module, named, _ = env_id.partition(":")
         if env_id.startswith("uavaccel/"):
             import uavaccel.envs  # noqa: F401  registers them
+        elif named and find_spec(module.partition(".")[0]) is None:  # nor is it installed
+            own_module(module, f"environment {env_id!r}")
         try:
             return gymnasium.make(env_id, **of_env)
         except TypeError as error:

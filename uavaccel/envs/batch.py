@@ -25,7 +25,7 @@ from uavaccel.envs.flight_env import FlightEnv
 from uavaccel.envs.values import Actions, Answer, Batch, Info, Observation, Steps
 from uavaccel.errors import UserError
 from uavaccel.machine import usable_cores
-from uavaccel.own_code import folder_of
+from uavaccel.own_code import check_not_importing, folder_of, place_of
 from uavaccel.sim.camera.gl import choose_backend
 from uavaccel.units import NS_PER_S
 
@@ -127,6 +127,7 @@ class EnvironmentBatch(TurnBatch):
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         **keys: Any,
     ) -> None:
+        check_not_importing()
         self.render_mode = check_render_mode(keys.pop("render_mode", None))
         self.task = task = set_up(self, environment, num_envs, autoreset_mode, keys)
         if processes is not None:
@@ -138,7 +139,7 @@ class EnvironmentBatch(TurnBatch):
         self._observations = observations_of(self.single_observation_space, num_envs)
         self.processes = min(processes or 2 * usable_cores(), num_envs)
         options = {
-            "environment": f"{environment.__module__}:{environment.__qualname__}",
+            "environment": place_of(environment),
             "folder": str(folder) if (folder := folder_of(environment)) else None,
             "keys": {**task.model_dump(mode="json"), "render_mode": self.render_mode},
             "memory": self._observations.memory,
@@ -147,7 +148,7 @@ class EnvironmentBatch(TurnBatch):
         }
         self._slots = self._started(environment, options)
 
-    def _started(self, environment: type[FlightEnv[Any]], options: Options) -> Any:
+    def _started(self, environment: type[FlightEnv[Any]], options: Options) -> EnvironmentProcesses:
         return EnvironmentProcesses(options, self.num_envs, self.processes)
 
     # --- Gymnasium --------------------------------------------------------------------------------

@@ -22,6 +22,7 @@ import traceback
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from multiprocessing.connection import Connection, wait
+from operator import attrgetter
 from pathlib import Path
 from select import POLLIN, poll
 from typing import Any
@@ -35,7 +36,7 @@ from uavaccel.envs.arrays import assign, select
 from uavaccel.envs.flight_env import FlightEnv, environment_of
 from uavaccel.envs.values import Action, Answer, Info, Observation
 from uavaccel.errors import UserError
-from uavaccel.own_code import errors_named, file_of
+from uavaccel.own_code import errors_named, file_of, import_alone
 from uavaccel.processes.forks import CAN_FORK, WITHOUT_THREADS, Fork, Forks, fork_each
 from uavaccel.processes.lifetime import (
     Process,
@@ -334,7 +335,7 @@ def fly(options: Options, number: int, descriptor: int) -> None:
             method, arguments = connection.recv()
             try:
                 if slot is None:
-                    found: Any = environment_of(getattr(importlib.import_module(module), name))
+                    found: Any = environment_of(attrgetter(name)(import_alone(module)))
                     slot, own = Slot(found, options, shared, number), file_of(found)
                 with errors_named(own):
                     answer = getattr(slot, method)(*arguments)

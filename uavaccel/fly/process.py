@@ -14,10 +14,9 @@ import shutil
 import signal
 import sys
 import threading
-from collections.abc import Callable
 from pathlib import Path
-from types import FrameType, ModuleType
-from typing import TYPE_CHECKING
+from types import FrameType
+from typing import TYPE_CHECKING, Any
 
 from uavaccel.errors import UserError, mistake_of
 from uavaccel.files import replacing, to_json
@@ -39,6 +38,8 @@ if TYPE_CHECKING:
     from uavaccel.fly.simulated import SimulatedFlight
     from uavaccel.fly.wall import WallFlight
     from uavaccel.wire.settings import Settings
+
+HINT = "\n  a script that draws random numbers flies the same with --seed 0"  # where there was none
 
 
 def main() -> None:
@@ -64,8 +65,9 @@ def main() -> None:
         with lost_interrupts_repeated(), checked_output():
             status = fly(options)
     except DifferenceError as error:
-        _write(options.folder / DIFFERENCE, f"{error}\n")
-        status = _complain(str(error), 1)
+        said = f"{error}{'' if options.seed is not None else HINT}"
+        _write(options.folder / DIFFERENCE, f"{said}\n")
+        status = _complain(said, 1)
     except Exception as error:
         if (mistake := mistake_of(error)) is None:
             raise
@@ -133,19 +135,16 @@ def fly(options: FlightOptions) -> int:
 def _seed(seed: int, patches: Patches) -> None:
     """Seed the global generators, and every generator that is made without a seed."""
     random.seed(seed)
-    seeds = random.Random(seed)
+    seeds, given = random.Random(seed), random.Random.seed
 
-    def seed_numpy(numpy: ModuleType) -> None:
-        numpy.random.seed(seed)  # which scripts use
-        seed_made(numpy.random, "default_rng")
+    def seeded(self: random.Random, a: Any = None, version: int = 2) -> None:
+        given(self, seeds.getrandbits(63) if a is None else a, version)
 
-    def seed_made(module: ModuleType, name: str) -> None:
-        make: Callable[..., object] = getattr(module, name)
-        patches.set(module, name, lambda seed=None, *rest: make(seeds.getrandbits(63) if seed is None else seed, *rest))
-
-    patches.when_imported("numpy", seed_numpy)
+    patches.set(random.Random, "seed", seeded)
+    patches.when_imported("numpy", lambda numpy: numpy.random.seed(seed))  # which scripts use
+    entropy = "numpy.random.bit_generator"  # of NumPy's and Gymnasium's generators
+    patches.when_imported(entropy, lambda module: patches.set(module, "randbits", seeds.getrandbits))
     patches.when_imported("torch", lambda torch: torch.manual_seed(seed))
-    patches.when_imported("gymnasium.utils.seeding", lambda module: seed_made(module, "np_random"))
 
 
 def _write(path: Path, text: str) -> None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import io
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -16,7 +17,6 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from functools import partial
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
@@ -112,16 +112,16 @@ class WallFlight:
         """Run the script against a server, for `until_s` at most. Raises UserError."""
         options = self._options
         with self._stack as stack:
-            served = stack.enter_context(serving(options, self._clock_speed, settings=self._settings))
-            self._watch = served.watch
-            recorder = SocketConnection(LOOPBACK, served.port, ANSWER_S)
+            port, watch = stack.enter_context(serving(options, self._clock_speed, self._settings))
+            self._watch = watch
+            recorder = SocketConnection(LOOPBACK, port, ANSWER_S)
             recorder.call("startRecording")
 
             def connect(host: str, port_of_airsim: int, timeout_s: float) -> LoggedConnection:
-                return LoggedConnection(served.port, timeout_s, self._log, served.watch, self._over)
+                return LoggedConnection(port, timeout_s, self._log, watch, self._over)
 
             clock = {"time": counted_time_module(self._slept)}
-            stack.enter_context(script_environment(connect, clock, options, served.port, self._log.abandon))
+            stack.enter_context(script_environment(connect, clock, options, port, self._log.abandon))
             stack.enter_context(stopping_after(options.until_s, self._clock_speed, self._over))
             return run_script(options.script, options.arguments)
 
@@ -151,22 +151,13 @@ class WallFlight:
         }
 
 
-class Served(NamedTuple):
-    """A server's port, and the watch on its process."""
-
-    port: int
-    watch: Watch
-
-
 @contextmanager
-def serving(
-    options: FlightOptions, clock_speed: float, port: int = 0, settings: Path | None = None
-) -> Iterator[Served]:
-    """Run a server for one flight, on `port` or a free one. Raises UserError if it does not start.
+def serving(options: FlightOptions, clock_speed: float, settings: Path | None) -> Iterator[tuple[int, Watch]]:
+    """Run a server for one flight; its port, and the watch on its process. Raises UserError if it does not start.
 
     FlightOver is raised in the main thread if the server ends, or is stopped, within the `with` block.
     """
-    arguments = ["serve", "--port", str(port), "--clock", f"{clock_speed:g}"]
+    arguments = ["serve", "--port", "0", "--clock", f"{clock_speed:g}"]
     arguments += ["--profile", options.profile, "--scene", options.scene]
     arguments += ["--recordings", str(options.folder / RECORDINGS)]
     if settings:
@@ -176,7 +167,7 @@ def serving(
         assert server.stdout is not None
         lines = io.TextIOWrapper(server.stdout)
         line = lines.readline()
-        if "listening on" not in line:
+        if (told := re.search(r"listening on .*:(\d+): scene", line)) is None:
             raise UserError(f"the server did not start: {line.strip() or 'see above'}")
 
         def print_warnings() -> None:
@@ -190,7 +181,7 @@ def serving(
             first = threading.main_thread().ident or 0
             watch = Watch(server, "the server's process", lambda: signal.pthread_kill(first, signal.SIGUSR1))
             try:
-                yield Served(int(line.partition("listening on ")[2].partition(": scene")[0].rpartition(":")[2]), watch)
+                yield int(told[1]), watch
             finally:
                 watch.end()
                 server.send_signal(signal.SIGINT)

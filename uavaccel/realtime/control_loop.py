@@ -110,7 +110,7 @@ class LoopOptions:
                 return np.clip(np.zeros(single.shape, single.dtype), single.low, single.high)
             raise UserError(f"default_action: a {type(single).__name__} has no neutral action; name one")
         action = copied(self.default_action)
-        if isinstance(single, spaces.Box):
+        if isinstance(single, spaces.Box | spaces.MultiBinary | spaces.MultiDiscrete):  # whose actions are arrays
             try:
                 action = np.asarray(action, single.dtype)
             except (TypeError, ValueError):  # no array of numbers

@@ -61,8 +61,12 @@ class Policy:
         self._act, self._actions, self._state = act, actions, state
 
     def __call__(self, observation: Any) -> Any:
-        """Return the action for an observation."""
-        return fitting(self._act(observation), self._actions, self.name)
+        """Return the action for an observation, in the type of its space: some environments refuse any other."""
+        action, wanted = fitting(self._act(observation), self._actions, self.name), self._actions.dtype
+        if not isinstance(action, np.ndarray) or not np.can_cast(action.dtype, wanted, "same_kind"):
+            return action
+        with np.errstate(over="ignore"):  # infinite then, and so no action
+            return fitting(action.astype(wanted, copy=False), self._actions, self.name)
 
     def reset(self, seed: int | None = None) -> None:
         """Begin an episode."""

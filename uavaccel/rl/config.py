@@ -104,13 +104,21 @@ def only_task(place: str) -> str:
 
 
 def with_env_id(mapping: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the mapping of a training with `env_id` and `task` for a `task` that is, or whose `class` is, a name."""
+    """Return the mapping of a training with `env_id` and `task` for a `task` that is, or whose `class` is, a name.
+
+    Raises UserError for names of no environment.
+    """
     task = mapping.get("task")
     keys = {"class": task} if isinstance(task, str) else dict(task) if isinstance(task, Mapping) else {}
     name = keys.pop("class", None)
-    if not isinstance(name, str):
+    if name is None:
         return dict(mapping)
-    return {**mapping, "env_id": only_task(name) if name.endswith(".py") else name, "task": keys}
+    if not isinstance(name, str):
+        raise UserError(f"task = {name!r}: should be the name of an environment, or a mapping of keys")
+    env_id = only_task(name) if name.endswith(".py") else SHORT.get(name, name)
+    if env_id not in ENVIRONMENTS and ":" not in env_id:
+        raise UserError(f"task = {name!r}: {suggestion(name, [*SHORT, *ENVIRONMENTS, 'my_task.py:MyTask'])}")
+    return {**mapping, "env_id": env_id, "task": keys}
 
 
 def _of_the_environment(task: Any, handler: ValidatorFunctionWrapHandler, info: ValidationInfo) -> Any:

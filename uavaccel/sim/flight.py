@@ -157,8 +157,7 @@ class MoveByManual:
     z_min_m: float
     duration_s: float
     forward_only: bool
-    yaw_value: float
-    yaw_is_rate: bool
+    yaw: Yaw
     begun_at: Quaternion
 
     def turn(self, now: Kinematics, elapsed_s: float) -> Turn:
@@ -169,8 +168,8 @@ class MoveByManual:
         north, east = self.sticks[PITCH] * self.vy_max_m_s, self.sticks[ROLL] * self.vx_max_m_s
         asked = (float(north) / LARGEST_STICK, float(east) / LARGEST_STICK, 0.0)
         heading = world_to_body(np.array(self.begun_at), asked)
-        turned = self.yaw_value + math.radians(self.sticks[YAW] * YAW_STICK_DEG / LARGEST_STICK)
-        yaw = facing(heading, self.forward_only, Yaw(turned, self.yaw_is_rate))
+        turned = self.yaw.value + math.radians(self.sticks[YAW] * YAW_STICK_DEG / LARGEST_STICK)
+        yaw = facing(heading, self.forward_only, self.yaw._replace(value=turned))
         climb = self.sticks[THROTTLE] / LARGEST_STICK * self.z_min_m
         return velocity_z(heading[0], heading[1], float(climb) + now.position_m[2], yaw)
 
@@ -214,8 +213,7 @@ class FollowPath:
     velocity_m_s: float
     timeout_s: float
     forward_only: bool
-    yaw_value: float
-    yaw_is_rate: bool
+    yaw: Yaw
     lookahead_m: float
     adaptive: float
     segment: int = 0  # progress of the vehicle: its segment, and the metres along it
@@ -279,7 +277,7 @@ class FollowPath:
         """Return the velocity towards the carrot: 0 within the accuracy, no climb or descent within half a metre."""
         way = carrot - np.array(now.position_m)
         distance = float(np.linalg.norm(way))
-        yaw = facing(tuple(way.tolist()), self.forward_only, Yaw(self.yaw_value, self.yaw_is_rate))
+        yaw = facing(tuple(way.tolist()), self.forward_only, self.yaw)
         vx, vy, vz = 0.0, 0.0, 0.0
         if distance >= ACCURACY_M:
             beyond = self.segment == len(self._lengths) and self.velocity_m_s > BRAKE_ABOVE_M_S

@@ -88,9 +88,9 @@ def check_bounds(position_m: Vector, ground_altitude_m: float, anywhere: bool = 
 
 
 def check_wind(wind_m_s: Vector) -> None:
-    """Raise UserError for a wind above STRONGEST_WIND_M_S, or one that is not finite."""
-    if not math.hypot(*wind_m_s) <= STRONGEST_WIND_M_S:
-        raise UserError(f"wind: {wind_m_s} m/s is not a wind of at most {STRONGEST_WIND_M_S:g} m/s")
+    """Raise ValueError for a wind above STRONGEST_WIND_M_S, or one that is not finite."""
+    if not (speed := math.hypot(*wind_m_s)) <= STRONGEST_WIND_M_S:
+        raise ValueError(f"wind must be at most {STRONGEST_WIND_M_S:g} m/s, not {speed:g}")
 
 
 def check_name(name: str, taken: Container[str] = (), kind: str = "a vehicle") -> None:

@@ -144,7 +144,7 @@ class World:
         self.clearance.surroundings_changed()
 
     def set_wind(self, wind_m_s: Vector) -> None:
-        """Set the wind, NED, for all vehicles. Raises UserError beyond STRONGEST_WIND_M_S."""
+        """Set the wind, NED, for all vehicles. Raises ValueError beyond STRONGEST_WIND_M_S."""
         check_wind(wind_m_s)
         for vehicle in self.vehicles:
             vehicle.state["wind"] = wind_m_s

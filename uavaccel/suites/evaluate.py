@@ -125,7 +125,7 @@ def completed(mapping: Mapping[str, Plain]) -> dict[str, Plain]:
     origin = origin_of(agent)
     env_id = mapping.get("env_id", origin.env_id or LANE)
     if origin.env_id not in (None, env_id):
-        raise UserError(f"env_id = {env_id!r}: {agent} flies {origin.env_id}; omit the key")
+        raise UserError(f"env_id = {env_id!r}: {agent} flies {origin.env_id}; omit the key, and the task's name")
     if not isinstance(env_id, str) or (env_id not in ENVIRONMENTS and ":" not in env_id):
         return dict(mapping)
     flown = {**origin.keys(), **evaluation_keys(env_id), "timing": "virtual", **given}

@@ -189,7 +189,10 @@ def read_claims(config: PaperConfig) -> Claims:
 
 def training_run(path: str) -> RunDirectory:
     """Return the run of the suite `rl` at a path. Raises UserError if it is none."""
-    run = open_run(path)
+    try:
+        run = open_run(path)
+    except UserError as error:
+        raise UserError(f"--with {error}") from None
     if run.config().get("suite") != "rl":
         raise UserError(f"--with {path}: is a run of {run.config().get('suite')}, not of rl")
     return run

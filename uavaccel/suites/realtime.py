@@ -23,7 +23,7 @@ from uavaccel.draw import style
 from uavaccel.draw.page import Block, Heading, Table
 from uavaccel.errors import UserError, suggestion
 from uavaccel.forms import ArrayForm, Count, NotNegative, Number, Positive
-from uavaccel.own_code import own_module
+from uavaccel.own_code import errors_named, file_of, own_module
 from uavaccel.realtime.policies import load_policy
 from uavaccel.records import RunDirectory, timing_provenance
 from uavaccel.resources import require
@@ -274,7 +274,7 @@ class Realtime(Suite[RealtimeConfig, Training]):
 def _check_agent(config: RealtimeConfig, name: str, agent: str) -> None:
     """Raise UserError for an environment that cannot be made, and for an agent that cannot act in it."""
     from uavaccel.realtime.plant import is_of_mujoco
-    from uavaccel.suites.realtime_agents import timed
+    from uavaccel.suites.realtime_agents import check_learnable, timed
 
     block = config.environments[name]
     try:
@@ -283,6 +283,8 @@ def _check_agent(config: RealtimeConfig, name: str, agent: str) -> None:
                 raise UserError("look_ahead: looks into Gymnasium's MuJoCo environments alone")
             if (policy := config.agents[agent].policies.get(name)) is not None:
                 load_policy(policy, env)
+            else:
+                check_learnable(env)
     except UserError as error:
         raise UserError(f"environments.{name}, agents.{agent}: {error}") from error
     except Exception as error:  # whatever a user's environment raises
@@ -326,7 +328,8 @@ def evaluated(config: RealtimeConfig, case: Evaluation, weights: Mapping[str, np
         if agent.look_ahead and case.command == "adsc":
             policy = agents.LookAhead(policy, env, block, delay_s, case.clock_speed)
         seeds = range(EVALUATION_SEED + config.seed, EVALUATION_SEED + config.seed + config.episodes)
-        met = [agents.fly_episode(env, policy, seed, delay_s if wall else 0.0) for seed in seeds]
+        with errors_named(file_of(type(env.unwrapped))):
+            met = [agents.fly_episode(env, policy, seed, delay_s if wall else 0.0) for seed in seeds]
     returns, delays_s, late_s = (list(each) for each in zip(*met, strict=True))
     return subset(vars(case), *UNDER) | {"returns": returns, "delays_s": delays_s, "late_s": max(late_s)}
 

@@ -12,6 +12,7 @@ import gymnasium
 import mujoco
 import numpy as np
 import torch as th
+from gymnasium import spaces
 from numpy.typing import NDArray
 from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback
@@ -21,6 +22,8 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
 import uavaccel.envs  # noqa: F401  registers the drones'
 from uavaccel.clock import MonotonicClock
+from uavaccel.errors import UserError
+from uavaccel.own_code import errors_named, file_of
 from uavaccel.realtime import RealTime, RealTimeProcess, samples
 from uavaccel.realtime.control_loop import Command, ControlLoop, LoopOptions
 from uavaccel.realtime.plant import MujocoPlant
@@ -74,6 +77,22 @@ def measured(block: EnvironmentBlock, agent: AgentBlock, command: str, clock_spe
     return RealTimeProcess(made, command, clock_speed, **options(block, agent))  # type: ignore[arg-type]
 
 
+def check_learnable(env: Env) -> None:
+    """Raise UserError for spaces that PPO takes none of, or takes for others."""
+    seen, actions = env.observation_space, env.action_space
+    if not isinstance(seen, spaces.Box):
+        raise UserError(f"PPO learns from a Box of observations, not from {seen}: put a wrapper around it")
+    if isinstance(actions, spaces.Discrete) and actions.start:
+        raise UserError(f"PPO counts actions from 0, not as {actions}: put a wrapper around it")
+
+
+def check_numbers(env: Env, *given: Any) -> None:
+    """Raise UserError for rewards or observations of an environment that are NaN or infinite."""
+    if not all(np.isfinite(each).all() for each in given):
+        name = type(env.unwrapped).__name__ if env.spec is None else env.spec.id
+        raise UserError(f"{name}: a reward or an observation is NaN or infinite")
+
+
 class DelayPerEpisode(gymnasium.Wrapper[Any, Any, Any, Any]):
     """A wrapper that draws the delay of each episode of a training from a range of simulated seconds."""
 
@@ -83,7 +102,14 @@ class DelayPerEpisode(gymnasium.Wrapper[Any, Any, Any, Any]):
 
     def reset(self, **keys: Any) -> tuple[Any, dict[str, Any]]:
         self._timed.thinking = samples([self._generator.uniform(*self._delay_s)])
-        return super().reset(**keys)
+        observation, info = super().reset(**keys)
+        check_numbers(self, observation)
+        return observation, info
+
+    def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
+        observation, reward, *rest = super().step(action)
+        check_numbers(self, observation, reward)
+        return observation, reward, *rest
 
 
 def training(block: EnvironmentBlock, agent: AgentBlock, seed: int) -> Env:
@@ -106,7 +132,8 @@ def train(block: EnvironmentBlock, agent: AgentBlock, seed: int) -> tuple[Weight
     learner = PPO("MlpPolicy", normalised, seed=seed, device="cpu", policy_kwargs=policy, **LEARNER)
     learner.set_logger(Logger(None, []))  # its own makes a folder among the temporary files
     returns = _Returns()
-    learner.learn(block.train_steps, returns)
+    with errors_named(file_of(type(lanes.envs[0].unwrapped))):
+        learner.learn(block.train_steps, returns)
     weights = {name: value.numpy().copy() for name, value in learner.policy.state_dict().items()}
     scale: Any = normalised.obs_rms
     weights |= {"observation.mean": scale.mean, "observation.var": scale.var}
@@ -208,4 +235,5 @@ def fly_episode(env: Env, policy: Act, seed: int, thinks_s: float) -> tuple[floa
         total, over = total + float(reward), terminated or truncated
         delays_s.append(float(info["meanwhile_s"]))
         late_s = max(late_s, float(info.get("late_s", 0.0)))
+    check_numbers(env, total)
     return total, float(np.median(delays_s)), late_s

@@ -16,7 +16,7 @@ from pathlib import Path
 
 from uavaccel.config import Config, apply_overrides, assign, load_yaml, validate
 from uavaccel.errors import UserError, suggestion
-from uavaccel.files import Plain
+from uavaccel.files import Plain, read_bounded
 from uavaccel.forms import RowForm
 from uavaccel.own_code import folder_of, look_also_in, own_class
 from uavaccel.records import RunDirectory
@@ -45,6 +45,10 @@ NAMED = re.compile(r"^task=(?=[^{\[\s]*$)")
 """Begins what sets a task by its name, which is its class: the keys of the task stay."""
 
 
+RELATIVE = re.compile(rb"^[ \t]*from[ \t]+\.", re.MULTILINE)
+"""Begins an import from the package that a file is in."""
+
+
 def read_mapping(name: str) -> tuple[dict[str, Plain], str]:
     """Return the mapping of an experiment and its name in messages: one that ships, such as "dp1", or a YAML file.
 
@@ -53,7 +57,8 @@ def read_mapping(name: str) -> tuple[dict[str, Plain], str]:
     if is_task(name):
         if not Path(file := name.partition(":")[0]).is_file():
             raise UserError(f"{file}: no such file")
-        return {"suite": "train", "task": Path(name).name}, name
+        own = Path(file).resolve()
+        return {"suite": "train", "task": f"{own.relative_to(folder_beside(name))}{name.removeprefix(file)}"}, name
     if is_file(name):
         return load_yaml(Path(name)), name
     if name not in (known := experiments()):
@@ -61,6 +66,19 @@ def read_mapping(name: str) -> tuple[dict[str, Plain], str]:
         what = "a run, which --report computes again" if is_run else suggestion(name, known)
         raise UserError(f"{name}: no such experiment; {what}")
     return load_yaml(experiment(f"{name}.yaml")), f"{name}.yaml"
+
+
+def folder_beside(name: str) -> Path:
+    """Return the folder in which own code is looked up that the YAML file, or the file of a task, `name` names.
+
+    It is that of the file or, where a task's file imports relatively and so is part of a package, the package's own.
+    """
+    file = Path(name.partition(":")[0] if is_task(name) else name).resolve()
+    folder = file.parent
+    if is_task(name) and RELATIVE.search(read_bounded(file)):
+        while (folder / "__init__.py").is_file():
+            folder = folder.parent
+    return folder
 
 
 def experiments_in(config: Config) -> dict[str, Plain]:

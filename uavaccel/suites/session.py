@@ -26,6 +26,7 @@ from uavaccel.suites.registry import (
     configuration,
     experiments_in,
     find_suite,
+    folder_beside,
     is_file,
     is_task,
     merged,
@@ -69,7 +70,7 @@ def reading(request: RunRequest) -> Iterator[tuple[AnySuite, Any]]:
     """
     experiment = request.experiment
     mapping, source = _of_the_run(request) if experiment is None else read_mapping(experiment)
-    beside = Path(experiment).resolve().parent if experiment is not None and is_file(experiment) else None
+    beside = folder_beside(experiment) if experiment is not None and is_file(experiment) else None
     with trusting(request.trust or beside is not None, beside, None if request.trust else modules_in(mapping)):
         if experiment is None:
             suite = suite_of(RunDirectory(source))

@@ -2,7 +2,7 @@
 
     class WorldApi(Calls, title="World"):
         @call("simSetWind")
-        def set_wind(self, wind: Wind) -> None:
+        def set_wind(self, wind: Vector3r) -> None:
             self.simulation.world.set_wind(wind)
 
 The number of arguments, their coercion (uavaccel.wire.types), the call's latency, whether a client may overlook its

@@ -30,7 +30,7 @@ from uavaccel.sim.flight import (
 )
 from uavaccel.sim.flight import facing as facing_along
 from uavaccel.sim.simulation import DeferredReply, Pilot
-from uavaccel.sim.vehicle.autopilot import POSITION, THROTTLE, Goal, Yaw
+from uavaccel.sim.vehicle.autopilot import POSITION, STRAIGHT_ON, THROTTLE, Goal, Yaw
 from uavaccel.units import euler_from_quaternion
 from uavaccel.wire.calls import Calls, call, command
 from uavaccel.wire.types import Coordinate, VehicleName, YawMode, coordinate, flag, number, place
@@ -132,8 +132,7 @@ class FlightApi(Calls, title="Flight"):
             raise ValueError("Yaw cannot be specified as rate if drivetrain is ForwardOnly")
         ahead = check_lookahead(lookahead, velocity, adaptive_lookahead)
         points = np.array([pilot.kinematics().position_m, *path])
-        turn = (yaw_mode.value, yaw_mode.is_rate)
-        follow = FollowPath(points, velocity, timeout_sec, forward_only, *turn, ahead, adaptive_lookahead)
+        follow = FollowPath(points, velocity, timeout_sec, forward_only, yaw_mode, ahead, adaptive_lookahead)
         return pilot.start(follow, self.wall_ns)
 
     # --- to a heading -----------------------------------------------------------------------------
@@ -203,8 +202,8 @@ class FlightApi(Calls, title="Flight"):
         pilot, forward_only = self._taken(vehicle), drivetrain == FORWARD_ONLY
         if duration <= 0:
             return True
-        turn = (yaw_mode.value, yaw_mode.is_rate, pilot.kinematics().orientation_wxyz)
-        task = MoveByManual(pilot.sticks, vx_max, vy_max, z_min, duration, forward_only, *turn)
+        begun_at = pilot.kinematics().orientation_wxyz
+        task = MoveByManual(pilot.sticks, vx_max, vy_max, z_min, duration, forward_only, yaw_mode, begun_at)
         return pilot.start(task, self.wall_ns)
 
     # --- in common --------------------------------------------------------------------------------
@@ -218,7 +217,7 @@ class FlightApi(Calls, title="Flight"):
     def _fly_to(self, pilot: Pilot, place: Vector, velocity_m_s: float, timeout_s: float) -> Answer:
         points = np.array([pilot.kinematics().position_m, place])
         ahead = check_lookahead(AUTO_LOOKAHEAD, velocity_m_s, ADAPTIVE)
-        follow = FollowPath(points, velocity_m_s, timeout_s, False, 0.0, True, ahead, ADAPTIVE)
+        follow = FollowPath(points, velocity_m_s, timeout_s, False, STRAIGHT_ON, ahead, ADAPTIVE)
         return pilot.start(follow, self.wall_ns)
 
 

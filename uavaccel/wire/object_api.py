@@ -31,7 +31,6 @@ from uavaccel.wire.types import (
     Truthy,
     Vector3r,
     VehicleName,
-    Wind,
     coordinate,
     finite,
 )
@@ -256,7 +255,7 @@ class WorldApi(Calls, title="World"):
         return types.geo_map(geographic(self.scenery.vehicle(vehicle).origin_m, self.scenery.settings.home))
 
     @call("simSetWind")
-    def set_wind(self, wind: Wind) -> None:
+    def set_wind(self, wind: Vector3r) -> None:
         """Set the wind in m/s NED, until it is set again."""
         self.simulation.world.set_wind(wind)
 

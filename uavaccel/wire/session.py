@@ -28,7 +28,7 @@ from uavaccel.wire.api import Api
 from uavaccel.wire.game_api import Collision, SpeedReport, decode_state
 from uavaccel.wire.image_api import decode_image
 from uavaccel.wire.latency import ZERO_LATENCY, Latency, LatencyConfig
-from uavaccel.wire.rpc import LOOPBACK, Received
+from uavaccel.wire.rpc import Received
 from uavaccel.wire.transport import (
     PendingCall,
     SocketTransport,
@@ -93,7 +93,7 @@ class Client:
         state = decode_state(call.outcome())
         if self._moving is not None:
             self._moving.outcome()  # nobody joins TCSC's command; one that was refused has been answered by now
-        self.transport.known.paused_at(state)
+        self.transport.known.state = state
         return state
 
     def _wall_after(self, simulated_ns: float) -> int:
@@ -222,7 +222,7 @@ class WallSession(Session):
         core = max(self._cores) if len(self._cores) > 1 else None
         self.server = WatchedServer({"scene": scene, "profile": profile, "core": core})
         try:
-            transport = SocketTransport(LOOPBACK, self.server.port, exclusive=True, watch=self.server)
+            transport = SocketTransport(self.server)
         except BaseException:
             self.server.end()
             raise
@@ -266,7 +266,7 @@ class VirtualSession(Session):
     def _connect(self, clock_speed: float, seed: np.random.SeedSequence) -> Client:
         clock, latency = VirtualClock(), Latency(self._latency, seed)
         self._simulation = modelled_simulation(self._world(clock_speed), clock_speed, latency)
-        return Client(VirtualTransport(Api(self._simulation), clock, latency, exclusive=True), clock_speed)
+        return Client(VirtualTransport(Api(self._simulation), clock, latency), clock_speed)
 
     def watch(self, every_ticks: int, observe: Callable[[int], None]) -> Callable[[], None]:
         world = self._world(1.0 if self._simulation is None else float(self._simulation.clock_speed))

@@ -9,7 +9,7 @@ import json
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
-from math import floor, hypot
+from math import floor
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
@@ -20,7 +20,7 @@ from uavaccel.config import ClockSpeed, validate
 from uavaccel.errors import UserError
 from uavaccel.files import parse_json, read_bounded
 from uavaccel.sim.earth import GeoPoint
-from uavaccel.sim.poses import STRONGEST_WIND_M_S
+from uavaccel.sim.poses import check_wind
 from uavaccel.sim.profile import Profile
 from uavaccel.sim.sensors import (
     AirSimKeys,
@@ -54,8 +54,7 @@ class WindSettings(AirSimKeys):
 
     @model_validator(mode="after")
     def _bearable(self) -> Self:
-        if not (speed := hypot(self.x, self.y, self.z)) <= STRONGEST_WIND_M_S:
-            raise ValueError(f"must be at most {STRONGEST_WIND_M_S:g} m/s, not {speed:g}")
+        check_wind((self.x, self.y, self.z))
         return self
 
 

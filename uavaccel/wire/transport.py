@@ -1,6 +1,5 @@
-"""The two transports from a client to a simulation: a socket, and in-process calls under a simulated wall clock.
-
-The socket's may watch the server's process: it starts it, sees whether it responds, and ends it in any state.
+"""The two transports from a client to a simulation: a socket to a server's process, and in-process calls under a
+simulated wall clock. The process is watched: whether it responds is seen, and it is ended in any state.
 """
 
 from __future__ import annotations
@@ -16,7 +15,6 @@ from abc import ABC, abstractmethod
 from collections.abc import Sequence
 
 from uavaccel.clock import MonotonicClock, VirtualClock, WallClock, wait_for_sockets
-from uavaccel.errors import UserError
 from uavaccel.kinematics import Kinematics
 from uavaccel.processes.lifetime import end_within, single_core_rendering, start_python
 from uavaccel.processes.stalls import FIRST_POLLS, StallDetector
@@ -123,18 +121,13 @@ class PendingCall(rpc.Future):
 
 
 class KnownState:
-    """The paused simulation's `state` as far as one connection knows it; all clients of the connection share it.
+    """The paused simulation's `state` as far as its connection knows it; all clients of the connection share it.
 
-    `exclusive` promises that no other connection runs the simulation. The state in which a continue-for left it then
-    stays the present one until this connection sends a call that may change it, and need not be requested.
+    There is no other connection. So the state in which a continue-for left the simulation stays the present one until
+    a call is sent that may change it, and need not be requested.
     """
 
-    def __init__(self, exclusive: bool = False) -> None:
-        self.exclusive = exclusive
-        self.state: Kinematics | None = None
-
-    def paused_at(self, state: Kinematics) -> None:
-        self.state = state if self.exclusive else None
+    state: Kinematics | None = None
 
     def sending(self, method: str) -> None:
         """Forget the state if the call that is about to be sent may change it."""
@@ -146,15 +139,15 @@ class Transport(ABC):
     """One connection: sends calls in order, and waits for replies in any order."""
 
     stalled_ns = 0
-    """Wall time for which a watched server did not answer, since it was last set to 0.
+    """Wall time for which a server did not answer, since it was last set to 0.
 
     A delay of 0.1 s is noticed in calls that take no simulated time and after the end of a continue-for, one of 1 s in
     all others.
     """
 
-    def __init__(self, clock: WallClock, exclusive: bool) -> None:
+    def __init__(self, clock: WallClock) -> None:
         self.clock = clock
-        self.known = KnownState(exclusive)
+        self.known = KnownState()
 
     @abstractmethod
     def send(self, method: str, params: Sequence[object], blocking: bool, coalesced: bool = False) -> PendingCall:
@@ -172,23 +165,19 @@ class Transport(ABC):
 
 
 class SocketTransport(Transport):
-    """msgpack-rpc over TCP. Raises UserError if no server listens at the address.
+    """msgpack-rpc over TCP to a server of this machine. All raises ServerGoneError if that has gone."""
 
-    With a `watch`, calls raise ServerGoneError if it finds that the server has gone; without one they wait for ever.
-    """
-
-    def __init__(self, host: str, port: int, exclusive: bool = False, watch: WatchedServer | None = None) -> None:
-        super().__init__(MonotonicClock(), exclusive)
-        self._watch = watch
+    def __init__(self, server: WatchedServer) -> None:
+        super().__init__(MonotonicClock())
+        self._server = server
         self._ping: PendingCall | None = None
         self._asked_ns = self._counted_ns = 0
         try:
-            self._rpc: rpc.RpcSocket[PendingCall] = rpc.RpcSocket(host, port)
+            self._rpc: rpc.RpcSocket[PendingCall] = rpc.RpcSocket(rpc.LOOPBACK, server.port)
         except ConnectionError as error:
-            raise UserError(str(error)) from None
-        if watch is not None:  # a wait without a deadline wakes now and then, which costs nothing otherwise
-            interval = struct.pack("ll", SILENCE_POLL_NS // NS_PER_S, 0)
-            self._rpc.socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, interval)
+            raise ServerGoneError(str(error)) from None
+        interval = struct.pack("ll", SILENCE_POLL_NS // NS_PER_S, 0)  # a wait without a deadline wakes now and then
+        self._rpc.socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, interval)
         self._unsent = b""
 
     def send(self, method: str, params: Sequence[object], blocking: bool, coalesced: bool = False) -> PendingCall:
@@ -225,7 +214,7 @@ class SocketTransport(Transport):
     def _readable(self, deadline_ns: int) -> bool:
         """Wait until something arrives, or for the deadline, or to ask a silent server whether it is there."""
         look_ns = self.clock.now_ns() + SILENCE_POLL_NS
-        if self._watch is None or deadline_ns < look_ns:
+        if deadline_ns < look_ns:
             return bool(wait_for_sockets(self._rpc.selector, deadline_ns))
         if wait_for_sockets(self._rpc.selector, look_ns):
             return True
@@ -240,15 +229,14 @@ class SocketTransport(Transport):
             return
         except ConnectionError as error:
             raise ServerGoneError(str(error)) from None
-        if self._watch is not None:
-            self._count_silence([call.due_ns() for call in answered])
+        self._count_silence([call.due_ns() for call in answered])
 
     def _look(self) -> None:
-        """Ping a watched server after SILENCE_POLL_NS of silence; later see whether its process has gone."""
-        if self._watch is not None and self._ping is not None:
-            self._watch.check()
-        elif self._watch is not None:
-            self._watch.answered()
+        """Ping the server after SILENCE_POLL_NS of silence; later see whether its process has gone."""
+        if self._ping is not None:
+            self._server.check()
+        else:
+            self._server.answered()
             self._ping, self._asked_ns = self.send("ping", (), blocking=True), self.clock.now_ns()
 
     def _count_silence(self, due_ns: Sequence[int | None]) -> None:
@@ -275,8 +263,8 @@ class SocketTransport(Transport):
 class VirtualTransport(Transport):
     """Calls an `Api` in the same process, and advances its simulated wall clock as the latency model says."""
 
-    def __init__(self, api: Api, clock: VirtualClock, latency: Latency, exclusive: bool = False) -> None:
-        super().__init__(clock, exclusive)
+    def __init__(self, api: Api, clock: VirtualClock, latency: Latency) -> None:
+        super().__init__(clock)
         self._api = api
         self._latency = latency
         self._handled_ns = clock.now_ns()

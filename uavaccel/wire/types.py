@@ -11,7 +11,7 @@ from typing import Annotated, get_origin
 
 from uavaccel.kinematics import Kinematics, Quaternion, Vector
 from uavaccel.sim.earth import GeoPoint
-from uavaccel.sim.poses import LONGEST_NAME, STRONGEST_WIND_M_S, Pose
+from uavaccel.sim.poses import LONGEST_NAME, Pose
 from uavaccel.sim.vehicle.autopilot import Yaw
 from uavaccel.wire.rpc import Received
 
@@ -162,14 +162,6 @@ def point(value: Received, name: str) -> GeoPoint | Vector:
     return GeoPoint(latitude, longitude, altitude)
 
 
-def wind(value: object, name: str) -> Vector:
-    """A Vector3r in m/s, no stronger than the physics can simulate."""
-    speeds = vector(value, name)
-    if not math.hypot(*speeds) <= STRONGEST_WIND_M_S:
-        raise ValueError(f"{name} must be at most {STRONGEST_WIND_M_S:g} m/s, not {math.hypot(*speeds):g}")
-    return speeds
-
-
 def yaw_mode(value: object, name: str) -> Yaw:
     """A YawMode, in degrees or degrees per second."""
     if not isinstance(value, dict):
@@ -184,7 +176,6 @@ ObjectName = Annotated[str, object_name]
 VehicleName = Annotated[str, lambda value, _: str(value)]  # the call itself refuses an unknown one
 Coordinate = Annotated[float, coordinate]
 Vector3r = Annotated[Vector, vector]
-Wind = Annotated[Vector, wind]
 AnyPose = Annotated[Pose, pose]
 FinitePose = Annotated[Pose, finite_pose]
 Point = Annotated[GeoPoint | Vector, point]

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Annotated, NamedTuple
+from typing import Annotated
 
 from uavaccel.errors import UserError
 from uavaccel.kinematics import Quaternion, Vector
@@ -32,21 +32,13 @@ TURNS = (-1, -1, 1, 1)  # AirSim's signs of the rotors' torques
 MAX_SPEED_RAD_S = 669.857
 
 
-class SettableKinematics(NamedTuple):
-    """The parts of a KinematicsState that can be set."""
-
-    pose: Pose
-    velocity_m_s: Vector
-    rate_rad_s: Vector
-
-
-def motion(value: object, name: str) -> SettableKinematics:
-    """The settable parts of a client's KinematicsState."""
+def motion(value: object, name: str) -> tuple[Pose, Vector, Vector]:
+    """The settable parts of a client's KinematicsState: pose, velocity in m/s and body rate in rad/s."""
     if not isinstance(value, Mapping):
         raise ValueError(f"{name} must be a KinematicsState")
     velocity = _bounded(value.get("linear_velocity"), "linear_velocity", FASTEST_M_S)
     rate = _bounded(value.get("angular_velocity"), "angular_velocity", FASTEST_RAD_S)
-    return SettableKinematics(pose(value, name), velocity, rate)
+    return pose(value, name), velocity, rate
 
 
 def _bounded(value: object, name: str, most: float) -> Vector:
@@ -112,12 +104,13 @@ class VehicleApi(Calls, title="Vehicles"):
 
     @call("simSetKinematics")
     def set_kinematics(
-        self, state: Annotated[SettableKinematics, motion], ignore_collision: object, vehicle: VehicleName = ""
-    ) -> None:
+        self, state: Annotated[tuple[Pose, Vector, Vector], motion], ignore_collision: object,
+        vehicle: VehicleName = "",
+    ) -> None:  # fmt: skip
         """Set pose and velocities; the accelerations follow from them here."""
-        pilot, motion = self.scenery.pilot(vehicle), (state.velocity_m_s, state.rate_rad_s)
-        place = in_world_frame(pilot, state.pose)
-        self.simulation.world.teleport(pilot.vehicle, *place, *motion, bool(ignore_collision))
+        pilot, (pose, velocity_m_s, rate_rad_s) = self.scenery.pilot(vehicle), state
+        place = in_world_frame(pilot, pose)
+        self.simulation.world.teleport(pilot.vehicle, *place, velocity_m_s, rate_rad_s, bool(ignore_collision))
 
     @call("getMultirotorState")
     def multirotor_state(self, vehicle: VehicleName = "") -> dict[str, object]:

@@ -141,21 +141,14 @@ def make_camera(model: mujoco.MjModel, width: int, height: int) -> Camera:
 
 
 class Camera:
-    """Renders a camera of the model, in any MjData of it, with its thread's OpenGL context for such models.
+    """Renders the model's front camera, in any MjData of it, with its thread's OpenGL context for such models.
 
-    A camera belongs to the thread that made it. `fov_deg` is horizontal at any width, by default the camera's own.
-    Raises UserError if OpenGL is missing or the model has no such camera.
+    A camera belongs to the thread that made it. Its field of view is that of the model, horizontal at any width. Raises
+    UserError if OpenGL is missing or the model has no such camera.
     """
 
-    def __init__(
-        self,
-        model: mujoco.MjModel,
-        width: int = WIDTH,
-        height: int = HEIGHT,
-        camera: str = "front_center",
-        fov_deg: float | None = None,
-    ) -> None:
-        self.model, self._view = model, View(model, width, height, camera, fov_deg)
+    def __init__(self, model: mujoco.MjModel, width: int = WIDTH, height: int = HEIGHT) -> None:
+        self.model, self._view = model, View(model, width, height)
         self._look_through(Lens(width, height, self._view.fov_deg))
         self._canvas = Canvas.open(model, width, height)
         self._context, self._turns = self._canvas.context, self._canvas.turns

@@ -22,6 +22,7 @@ AnyImage = NDArray[Any]
 """An `Image`, a `DepthImage` or a `GeomImage`."""
 Scalar = TypeVar("Scalar", bound=np.integer | np.floating)
 
+FRONT = "front_center"
 WIDTH, HEIGHT, FOV_DEG = 256, 144, 90.0  # AirSim's defaults (AirSimSettings.hpp CaptureSetting)
 _RENDER_FLAGS = {
     mujoco.mjtRndFlag.mjRND_CULL_FACE: True,  # half the faces of everything
@@ -34,26 +35,19 @@ _EVERYTHING = int(mujoco.mjtCatBit.mjCAT_ALL)
 
 
 class View:
-    """The scene in front of a camera of the model; `fov_deg` is horizontal at any width, by default the camera's own.
+    """The scene in front of the model's camera, FRONT; `fov_deg` is its own, horizontal at any width.
 
     Raises UserError if the model has no such camera.
     """
 
-    def __init__(
-        self,
-        model: mujoco.MjModel,
-        width: int = WIDTH,
-        height: int = HEIGHT,
-        camera: str = "front_center",
-        fov_deg: float | None = None,
-    ) -> None:
+    def __init__(self, model: mujoco.MjModel, width: int, height: int) -> None:
         self.model, self._camera, self._options = model, mujoco.MjvCamera(), mujoco.MjvOption()
         self._camera.type = mujoco.mjtCamera.mjCAMERA_FIXED
-        self._camera.fixedcamid = number = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_CAMERA, camera)
+        self._camera.fixedcamid = number = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_CAMERA, FRONT)
         if number < 0:
             names = ", ".join(model.camera(index).name for index in range(model.ncam))
-            raise UserError(f"no camera {camera!r} in the scene; there is {names or 'none'}")
-        self.fov_deg = own_fov_deg(model, number) if fov_deg is None else fov_deg
+            raise UserError(f"no camera {FRONT!r} in the scene; there is {names or 'none'}")
+        self.fov_deg = own_fov_deg(model, number)
         # for a camera on the drone everything except the drone, which is out of its view
         self._options.sitegroup[:] = 0  # marks of MJCF, not things; their ids are not geoms'
         self._options.geomgroup[DRONE_GROUP] = model.cam_bodyid[number] != model.body("quadrotor").id
