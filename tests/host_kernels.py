@@ -103,7 +103,7 @@ class Kernels:
     def __init__(self) -> None:
         self._scratch, self._picture = alone(make_scratch)(), np.empty((ROWS, COLUMNS), np.uint8)
         self._levels: dict[int, Any] = {}  # sums of the colours that a lane has shown last
-        self._seen: tuple[Any, ...] = ()  # what the lane's pictures are drawn of next
+        self._seen: Any = None  # what the lane's pictures are drawn of next
 
     def __getattr__(self, name: str) -> Any:
         work: Any = getattr(type(self), f"run_{name}", None)
@@ -126,7 +126,8 @@ class Kernels:
         self._seen = looks, games, now._replace(state=now.state.copy())
 
     def run_draw_gray(self, which: Any, faces: Any, shown: Any, looks: Any, gray: Any) -> None:
-        self.run_cast_gray(which, *self._seen, None, gray)
+        looks, games, now = self._seen
+        self.run_cast_gray(which, looks, games, now, None, gray)
 
     def run_see(self, which: Any, take: int, faces: Any, shown: Any, looks: Any, sensor: Any, *of_lanes: Any) -> None:
         games, now, pixels, frames = of_lanes

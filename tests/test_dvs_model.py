@@ -113,12 +113,18 @@ def test_every_event_of_a_pixel(changed: dict[str, float], start_s: float) -> No
 
 
 def test_thresholds_spread_by_sigma_around_their_own_nominal_values() -> None:
+    """They belong to the seed, and are at least a hundredth."""
     parameters = replace(EXACT, positive_threshold=0.3, negative_threshold=0.5, threshold_sigma=0.04)
     sensor = dvs.make_sensor(parameters, SHAPE, seed=4)
     for map_, nominal in ((sensor.positive_threshold, 0.3), (sensor.negative_threshold, 0.5)):
         assert map_.mean() == pytest.approx(nominal, abs=4 * 0.04 / PIXELS**0.5)
         assert map_.std() == pytest.approx(0.04, rel=0.03)
     assert abs(np.corrcoef(sensor.positive_threshold.ravel(), sensor.negative_threshold.ravel())[0, 1]) < 0.03
+    same, other = (dvs.make_sensor(parameters, SHAPE, seed).positive_threshold for seed in (4, 5))
+    np.testing.assert_array_equal(sensor.positive_threshold, same)
+    assert (sensor.positive_threshold != other).any()
+    wide = dvs.make_sensor(replace(parameters, threshold_sigma=0.2), SHAPE, seed=4)
+    assert wide.positive_threshold.min() == np.float32(0.01)
     flat = dvs.make_sensor(replace(parameters, threshold_sigma=0.0), SHAPE, seed=4)
     assert (flat.positive_threshold == np.float32(0.3)).all()
     assert (flat.negative_threshold == np.float32(0.5)).all()

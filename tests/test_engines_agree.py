@@ -489,12 +489,30 @@ OTHER_LIGHT: Keys = {
     "max_commands": 1,
 }
 """A game's first image is not requested again because the last game's was darker."""
+COMES_NEAR: Keys = {
+    "timing": "virtual",
+    "latency": OTHER_LIGHT["latency"] | {"request_us": {"call": [40.0, 40.0], "image": [9000.0, 9000.0]}},
+    "lane": {"obstacles": [{"x_m": 3.5, "y_m": 0.0, "half_side_m": 1.0}]},
+    "t_move_s": 0.6,
+    "t_sample_s": 0.3,
+    "speed_m_s": 4.0,
+}
+"""The event camera's picture becomes darker from sample to sample, and is requested again."""
+OTHER_NOISE: Keys = {
+    "randomise": {"image_noise": [2, 9], "dvs_leak_hz": [5, 50], "share": 0.4},
+    "t_move_s": 0.3,
+    "t_sample_s": 0.3,
+    "max_commands": 1,
+}
+"""Cameras are quiet in one game, and noisy in the next and in that beside it."""
 
 
 @pytest.mark.slow
 @settings(FIXTURES, max_examples=7)
 @example(Case(ObstacleLane, HIT_BETWEEN_FRAMES, seed=0, commands=5, noise=0.0, work_s=0.0))
 @example(Case(ObstacleLane, OTHER_LIGHT, seed=0, commands=5, noise=0.5, work_s=0.0))
+@example(Case(ObstacleLane, OTHER_NOISE, seed=0, commands=5, noise=0.5, work_s=0.0))
+@example(Case(ObstacleLane, COMES_NEAR, seed=0, commands=4, noise=0.0, work_s=0.0))
 @given(seen_cases())
 @pytest.mark.usefixtures("a_gpu", "kernels_pictures")
 def test_cameras_see_the_same_in_all_simulators(case: Case) -> None:

@@ -68,10 +68,16 @@ def test_it_is_registered_as_the_documentation_says(module: str) -> None:
 @needs_opengl
 @pytest.mark.filterwarnings("ignore:.*Box observation space m:UserWarning")  # a position has no bounds
 @pytest.mark.filterwarnings("ignore:.*unconventional shape:UserWarning")
-@pytest.mark.parametrize("observation", ["dvs", "colour", "depth", "state"])
-def test_checkers_of_gymnasium_and_baselines_find_nothing(observation: str) -> None:
-    environment = gymnasium.make(NAME, observation=observation, max_commands=5)
-    check_env(environment.unwrapped, skip_render_check=observation == "state")
+@pytest.mark.parametrize(
+    ("name", "keys"),
+    [
+        *((NAME, {"observation": kind}) for kind in ("dvs", "colour", "depth", "state")),
+        *((f"uavaccel/{name}-v0", {}) for name in ("Hover", "Gates")),
+    ],
+)
+def test_checkers_of_gymnasium_and_baselines_find_nothing(name: str, keys: dict[str, str]) -> None:
+    environment = gymnasium.make(name, **keys, max_commands=5)
+    check_env(environment.unwrapped, skip_render_check=keys.get("observation", "state") == "state")
     check_env_for_learning(environment)
     environment.close()
 

@@ -58,19 +58,6 @@ def test_rmse_is_at_equal_times(reference: Trajectory, flight: Trajectory, rmse_
     assert position_rmse(reference, flight) == pytest.approx(rmse_m, abs=1e-12, nan_ok=True)
 
 
-def test_mean_rmse_over_references() -> None:
-    references = [straight(4, offset_m=y) for y in (0.0, 0.2, 0.2)]
-    assert mean_position_rmse([straight(4)], references) == pytest.approx([0.4 / 3])
-    assert mean_position_rmse(references, references, exclude_self=True) == pytest.approx([0.2, 0.1, 0.1])
-
-
-def test_a_mean_needs_references_and_games_that_are_among_them() -> None:
-    with pytest.raises(ValueError, match="exclude_self"):
-        mean_position_rmse([straight(1)], [straight(1), straight(2)], exclude_self=True)
-    with pytest.raises(ValueError, match="reference"):
-        mean_position_rmse([straight(1)], [])
-
-
 def test_distinct_keeps_order_and_counts_bytes_not_values() -> None:
     flights = [straight(1), straight(2), straight(1), straight(2)]
     unique, index = distinct(flights)
@@ -92,15 +79,13 @@ def test_speedup_interval_holds_the_estimate_of_constant_baselines(wall_s: list[
 
 
 def test_bootstrap_repeats_by_seed_and_covers_the_mean() -> None:
+    """That of identical games has no width."""
+    assert median_interval([2.0, 2.0, 2.0], seed=0) == (2.0, 2.0)
     values = np.random.default_rng(7).normal(3.0, 1.0, 200)
     first = bootstrap_interval((values,), lambda v: v.mean(axis=-1), seed=1)
     assert first == bootstrap_interval((values,), lambda v: v.mean(axis=-1), seed=1)
     half = 1.96 * values.std() / np.sqrt(200)
     assert first == pytest.approx((values.mean() - half, values.mean() + half), abs=0.02)
-
-
-def test_identical_games_have_an_interval_of_zero_width() -> None:
-    assert median_interval([2.0, 2.0, 2.0], seed=0) == (2.0, 2.0)
 
 
 def test_a_proportion_in_a_summary_and_in_words() -> None:
@@ -204,22 +189,22 @@ def test_a_missed_lap_is_invisible_to_stlc_and_plain_to_rmse() -> None:
         assert position_rmse(reference, Trajectory(reference.time_s, position_m)) > 0.25
 
 
-def test_mean_over_references_and_without_itself() -> None:
-    base = square_laps(1)
-    references = [Trajectory(base.time_s, base.position_m + dz) for dz in (0.0, 0.1, 0.3)]
-    matrix = stlc_matrix(references, references)
-    assert mean_stlc(references[:1], references) == pytest.approx([matrix[0].mean()])
-    without = mean_stlc(references, references, exclude_self=True)
+def test_means_over_references_leave_out_the_game_itself() -> None:
+    """Of replicas they are exactly 2; a lone reference has nothing to compare with."""
+    aside = [straight(4, offset_m=y) for y in (0.0, 0.2, 0.2)]
+    assert mean_position_rmse([straight(4)], aside) == pytest.approx([0.4 / 3])
+    assert mean_position_rmse(aside, aside, exclude_self=True) == pytest.approx([0.2, 0.1, 0.1])
+    base, replicas = square_laps(1), [square_laps(2) for _ in range(5)]
+    above = [Trajectory(base.time_s, base.position_m + dz) for dz in (0.0, 0.1, 0.3)]
+    matrix = stlc_matrix(above, above)
+    assert mean_stlc(above[:1], above) == pytest.approx([matrix[0].mean()])
+    without = mean_stlc(above, above, exclude_self=True)
     assert without == pytest.approx([(matrix[i].sum() - 2.0) / 2 for i in range(3)])
-
-
-def test_identical_replicas_score_exactly_two() -> None:
-    games = [square_laps(2) for _ in range(5)]
-    assert np.array_equal(mean_stlc(games, games, exclude_self=True), np.full(5, 2.0))
-
-
-def test_a_lone_reference_has_nothing_to_compare_with() -> None:
-    assert np.isnan(mean_stlc([square_laps(1)], [square_laps(1)], exclude_self=True)).all()
+    assert np.array_equal(mean_stlc(replicas, replicas, exclude_self=True), np.full(5, 2.0))
+    assert np.isnan(mean_stlc([base], [base], exclude_self=True)).all()
+    for references, said in (([straight(1), straight(2)], "exclude_self"), ([], "reference")):
+        with pytest.raises(ValueError, match=said):
+            mean_position_rmse([straight(1)], references, exclude_self=bool(references))
 
 
 @given(st.lists(flights(), min_size=1, max_size=4), st.lists(flights(), min_size=1, max_size=4))
@@ -249,11 +234,7 @@ def test_trainings_and_not_games_decide_where_there_are_several() -> None:
 def test_trainings_that_all_fail_are_no_surer_than_their_games() -> None:
     assert Success((Proportion(0, 4),) * 3).estimate.interval == Proportion(0, 12).interval
     assert Success.on_lanes(np.ones((3, 4))).estimate.interval == Proportion(12, 12).interval
-
-
-def test_of_one_training_the_lanes_are_its_games() -> None:
-    won = np.arange(300) < 250
-    alone = Success.on_lanes([won])
+    alone = Success.on_lanes([np.arange(300) < 250])  # whose lanes are its games
     assert alone.estimate.interval == alone.pooled.interval == Proportion(250, 300).interval
 
 

@@ -45,17 +45,13 @@ def test_of_one_seed_the_interval_is_binomial() -> None:
 
 
 def test_of_seeds_that_differ_it_is_as_wide_as_they_do() -> None:
-    """Two seeds win all, two none: the number of winners drawn is binomial, of four at 1/2."""
+    """Two seeds win all, two none: the number of winners drawn is binomial, of four at 1/2. All weigh the same."""
+    assert hierarchical_interval([np.zeros(1000), np.ones(2)], 1) == (0.0, 1.0)
     sure = [np.full(1000, won) for won in (1.0, 1.0, 0.0, 0.0)]
     assert hierarchical_interval(sure, 0) == (0.0, 1.0)
     alike = [np.arange(1000) % 2] * 4
     low, high = hierarchical_interval(alike, 0)
     assert 0.4 < low < 0.5 < high < 0.6
-
-
-def test_seeds_weigh_the_same_whatever_their_games() -> None:
-    low, high = hierarchical_interval([np.zeros(1000), np.ones(2)], 1)
-    assert (low, high) == (0.0, 1.0)
 
 
 @given(ratios, ratios)
@@ -145,14 +141,11 @@ def test_parts_of_a_claim() -> None:
 
 def test_a_lone_value_has_no_width_and_none_is_refused() -> None:
     assert mean_estimate([3.0]) == Estimate(3.0, 3.0, 3.0)
+    assert ratio_estimate(Estimate(3, 3, 3), Estimate(4, 4, 4)) == pytest.approx((0.75, 0.75, 0.75))
     with pytest.raises(ValueError, match="at least one"):
         mean_estimate([])
     with pytest.raises(ValueError, match="to 0"):
         ratio_estimate(Estimate(1.0, 1.0, 1.0), Estimate(0.0, 0.0, 0.1))
-
-
-def test_a_ratio_of_sure_numbers_is_sure() -> None:
-    assert ratio_estimate(Estimate(3, 3, 3), Estimate(4, 4, 4)) == pytest.approx((0.75, 0.75, 0.75))
 
 
 def test_ends_of_a_ratio_solve_movers_equation() -> None:

@@ -148,7 +148,7 @@ class EnvironmentBatch(TurnBatch):
         }
         self._slots = self._started(environment, options)
 
-    def _started(self, environment: type[FlightEnv[Any]], options: Options) -> Any:
+    def _started(self, environment: type[FlightEnv[Any]], options: Options) -> EnvironmentProcesses:
         return EnvironmentProcesses(options, self.num_envs, self.processes)
 
     # --- Gymnasium --------------------------------------------------------------------------------

@@ -14,7 +14,7 @@ from numba.extending import overload
 
 from uavaccel.kernels.fields import COLUMNS as WIDTH
 from uavaccel.kernels.fields import ROWS as HEIGHT
-from uavaccel.kernels.fields import Operand
+from uavaccel.kernels.fields import Integer, Operand
 from uavaccel.sim.parts import part, times
 from uavaccel.vision import dvs_kernels as pixel
 from uavaccel.vision.dvs import TABLES
@@ -252,7 +252,7 @@ def update_pixel(
     draw: tuple[np.float32, np.float32],
     y: int,
     x: int,
-    moment: tuple[int, float, float],
+    moment: tuple[Integer, float, float],
     rest: Operand,
 ) -> Any:
     """Update a pixel for a new grey level and return its ON minus OFF events.
@@ -285,6 +285,6 @@ def update_pixel(
 
 
 @part
-def level_of(events: int) -> int:
+def level_of(events: Integer) -> int:
     """Return an observation's level for a block's ON minus OFF events."""
     return min(max(NEUTRAL_LEVEL + events, 0), 255)
