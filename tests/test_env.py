@@ -75,7 +75,7 @@ def test_it_is_registered_as_the_documentation_says(module: str) -> None:
         *((f"uavaccel/{name}-v0", {}) for name in ("Hover", "Gates")),
     ],
 )
-def test_checkers_of_gymnasium_and_baselines_find_nothing(name: str, keys: dict[str, str]) -> None:
+def test_checkers_of_gymnasium_and_baselines_find_nothing(name: str, keys: dict[str, Any]) -> None:
     environment = gymnasium.make(name, **keys, max_commands=5)
     check_env(environment.unwrapped, skip_render_check=keys.get("observation", "state") == "state")
     check_env_for_learning(environment)

@@ -20,7 +20,7 @@ from uavaccel.resources import experiment
 from uavaccel.suites.dp1 import Dp1, Dp1Config
 from uavaccel.suites.evaluate import Evaluation
 from uavaccel.suites.grid import Ablation, Point, Robustness, Sweep, band_figure
-from uavaccel.suites.session import RunRequest
+from uavaccel.suites.session import RunRequest, reading
 
 BASE = "base={profile: airsim, command: [adsc], clock_speed: [1, 10], t_move_s: [0.2], rounds: [2], games: 2, reference_games: 2}"  # noqa: E501
 # It sees nothing, so there are no pictures; the latency changes where it is when a game is cut short.
@@ -40,6 +40,27 @@ def test_a_variant_changes_its_keys_and_nothing_else() -> None:
     assert slow.latency.platform == plain.latency.platform
     named = configured("ablation", BASE, "base.seed=9", seed=4, variants=[{"name": "a"}, {"name": "b"}])
     assert Ablation().dp1_of(named, "a") == plain, "the seed is the run's"
+
+
+def test_lanes_and_latencies_are_found_beside_their_yaml(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What the working directory has goes before."""
+    (tmp_path / "own").mkdir()
+    for folder, x_m, scale in ((tmp_path, 7, 7), (tmp_path / "own", 9, 9)):
+        (folder / "lane.yaml").write_text(f"obstacles: [{{x_m: {x_m}, y_m: 0, radius_m: 0.3}}]\n")
+        (folder / "slow.yaml").write_text(f"latency: {{scale: {scale}}}\n")
+    task = "task: {lane: lane.yaml, latency: slow.yaml}\n"
+    (tmp_path / "own/evaluation.yaml").write_text(f"suite: evaluate\nagent: straight\n{task}")
+    (tmp_path / "sweep.yaml").write_text(
+        "suite: sweep\nsweep: {wind: [1]}\nevaluation: {experiment: own/evaluation.yaml}\n"
+    )
+    monkeypatch.chdir(tmp_path)
+    for there in (7, 9):
+        with reading(RunRequest("own/evaluation.yaml")) as (_, config):
+            assert (config.task.lane.obstacles[0].x_m, config.task.latency.scale) == (there, there)
+        with reading(RunRequest("sweep.yaml")) as (_, config):
+            assert config.evaluation.resolve(0)[1].task.latency.scale == there
+        for name in ("lane.yaml", "slow.yaml"):
+            (tmp_path / name).unlink(missing_ok=True)
 
 
 SHIPPED = [experiment("ablation.yaml"), *sorted(experiment("ablations").glob("*.yaml"))]

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import gymnasium
+import numpy as np
 import pytest
 
 import uavaccel
@@ -51,7 +52,9 @@ def test_an_environment_is_made_by_its_id_or_its_short_name(name: str) -> None:
 def test_an_environment_is_made_of_a_class_with_the_tasks_keys() -> None:
     of_task, of_environment = uavaccel.make(PostTask, climb_m_s=2.0), uavaccel.make(Post, climb_m_s=2.0)
     assert of_task.task == of_environment.task == PostTask(climb_m_s=2.0)
+    assert uavaccel.make(PostTask, climb_m_s=np.float32(2.0), max_commands=np.int64(3)).task.max_commands == 3
     lane = uavaccel.make("lane", difficulty=Difficulty(wind_m_s=3.0), render_mode="rgb_array")
+    assert uavaccel.make("lane", headings_deg=np.array([-9.0, 9.0])).task.headings_deg == (-9.0, 9.0)
     assert (lane.task.difficulty.wind_m_s, lane.render_mode) == (3.0, "rgb_array")
 
 
@@ -70,6 +73,7 @@ def test_a_batch_flies_exactly_or_as_arrays() -> None:
         ("hoover", {}, r"^task 'hoover': is unknown; did you mean 'hover'\?$"),
         (int, {}, r"^task <class 'int'>: is unknown; known: lane, .*, a class of Task or FlightEnv$"),
         ("hover", {"reach_n": 2.0}, "^Hover: unknown key 'reach_n'; did you mean 'reach_m'"),
+        ("hover", {"reach_m": 2j}, "^Hover: not made of text, numbers, lists and mappings: 2j is none of these$"),
         (Hover, {"reach_m": "2"}, "^Hover: reach_m = '2': should be a valid number"),
     ],
 )

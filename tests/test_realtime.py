@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 import sys
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -380,6 +381,29 @@ def test_the_lane_through_the_wrapper_is_the_lane_under_that_command(command: st
         assert (got[4]["thinking_s"], got[4]["meanwhile_s"]) == (0.2, age_s)
     own.close()
     wrapped.close()
+
+
+LANE = partial(gymnasium.make, "uavaccel/ObstacleLane-v0", timing="virtual", observation="state")
+
+
+@pytest.mark.parametrize("make", [Counting, LANE])
+def test_an_agent_thinks_from_each_observation_to_its_action(make: Callable[[], Env]) -> None:
+    said: list[str] = []
+
+    class Told(ThinkingTime):
+        def observed(self) -> None:
+            said.append("observed")
+
+        def sample_ns(self, generator: np.random.Generator) -> int:
+            said.append("acts")
+            return 10_000_000
+
+    env = RealTime(make(), Told(), "tcsc")
+    env.reset(seed=1)
+    for _ in range(2):
+        env.step(env.action_space.sample())
+    env.close()
+    assert said == ["observed", "acts", "observed", "acts", "observed"]
 
 
 class Messages:

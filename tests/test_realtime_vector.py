@@ -128,7 +128,9 @@ def test_an_environment_of_a_vector_is_a_single_one(keys: dict[str, Any], mode: 
 @pytest.mark.slow
 @pytest.mark.parametrize("mode", MODES, ids=str)
 def test_so_is_one_in_a_process_of_its_own(mode: AutoresetMode) -> None:
-    vector = RealTimeVector(AsyncVectorEnv([Ending] * COUNT, autoreset_mode=mode), **KEYS[0])
+    given = AsyncVectorEnv([Ending] * COUNT, autoreset_mode=mode)
+    vector = RealTimeVector(given, **KEYS[0])
+    assert given.closed  # or twice as many processes would run
     actions = actions_of(vector.action_space)
     assert together(vector, actions) == singly(Ending, KEYS[0], mode, actions)
 

@@ -14,6 +14,7 @@ from uavaccel.config import Config, dotted_keys
 from uavaccel.errors import UserError, suggestion
 from uavaccel.own_code import check_not_importing, file_of
 from uavaccel.records import RunDirectory
+from uavaccel.units import plain
 
 if TYPE_CHECKING:  # it loads Gymnasium
     from uavaccel.envs.flight_env import FlightEnv
@@ -136,9 +137,15 @@ def _plain(keys: Mapping[str, Any]) -> dict[str, Any]:
     return {key: value.model_dump(mode="json") if isinstance(value, Config) else value for key, value in keys.items()}
 
 
+def _as_yaml(value: object) -> object:
+    return str(value) if (made := plain(value)) is value else made
+
+
 def _overrides(keys: Mapping[str, Any]) -> list[str]:
     """Return keys of a YAML file, nested as there, as --set has them: JSON is YAML."""
-    return [f"{name}={json.dumps(value, default=str)}" for name, value in dotted_keys(_plain(keys)).items() if name]
+    return [
+        f"{name}={json.dumps(value, default=_as_yaml)}" for name, value in dotted_keys(_plain(keys)).items() if name
+    ]
 
 
 def _file_and_class(task: type) -> str:

@@ -34,7 +34,7 @@ from yaml.constructor import ConstructorError, SafeConstructor
 
 from uavaccel.errors import UsageError, UserError, suggestion
 from uavaccel.files import Plain, read_bounded
-from uavaccel.units import CLOCK_SPEEDS
+from uavaccel.units import CLOCK_SPEEDS, plain
 
 if TYPE_CHECKING:
     from pydantic import GetJsonSchemaHandler
@@ -169,7 +169,7 @@ def validate(
     `given` names, by dotted key, the options that gave values in place of `source`.
     """
     try:
-        return cls.model_validate_json(json.dumps(mapping), strict=True)
+        return cls.model_validate_json(json.dumps(mapping, default=_as_yaml), strict=True)
     except ValidationError as error:
         first = _leading(error)
         giver = _giver(_dotted(mapping, first), first["msg"], given or {}, source)
@@ -179,6 +179,13 @@ def validate(
         raise type(error)(said if said.startswith(giver) else f"{giver}: {said}") from error
     except (TypeError, ValueError) as error:
         raise UserError(f"{source}: not made of text, numbers, lists and mappings: {error}") from error
+
+
+def _as_yaml(value: object) -> object:
+    """Return NumPy's numbers and arrays, and paths, as YAML has them. Raises TypeError for anything else."""
+    if (made := str(value) if isinstance(value, Path) else plain(value)) is value:
+        raise TypeError(f"{value!r} is none of these")
+    return made
 
 
 def _giver(key: str, said: str, given: Mapping[str, str], source: str) -> str:
@@ -305,11 +312,15 @@ MOST_VALUES = 1_000_000
 MOST_LEVELS = 5_000  # of nesting, far below those at which libyaml crashes
 
 
+def _whole(loader: object, node: yaml.ScalarNode) -> int:
+    return int(node.value, 16 if node.value.startswith("0x") else 10)
+
+
 class _Rules(SafeConstructor):
     yaml_implicit_resolvers = _RESOLVERS
-    yaml_constructors = {  # noqa: RUF012  as PyYAML has it
+    yaml_constructors = {
         tag: construct for tag, construct in yaml.SafeLoader.yaml_constructors.items() if tag not in _NOT_PLAIN
-    }
+    } | {_INT: _whole}
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Plain]:
         seen: set[str] = set()
@@ -321,12 +332,6 @@ class _Rules(SafeConstructor):
                 raise ConstructorError(problem=problem, problem_mark=key.start_mark)
             seen.add(key.value)
         return super().construct_mapping(node, deep)
-
-    def construct_yaml_int(self, node: yaml.ScalarNode) -> int:
-        return int(node.value, 16 if node.value.startswith("0x") else 10)
-
-
-_Rules.add_constructor(_INT, _Rules.construct_yaml_int)
 
 
 class _Loader(_Rules, yaml.SafeLoader):

@@ -72,6 +72,12 @@ def trusted_folder() -> Path | None:
     return next((folder for folder, _ in reversed(_trusted) if folder is not None), None)
 
 
+def file_beside(name: str | Path) -> Path:
+    """Return the file of a name in a YAML file: from the working directory or, if none is there, from beside it."""
+    path, folder = Path(name), trusted_folder()
+    return path if folder is None or path.exists() or not (folder / path).exists() else folder / path
+
+
 def look_also_in(folder: object) -> None:
     """Look code up in a folder that a run or a policy has noted, too; there only what was trusted before may run."""
     if isinstance(folder, str) and (noted := Path(folder)) not in _noted:

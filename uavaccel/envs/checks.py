@@ -6,7 +6,7 @@ import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import astuple, replace
-from numbers import Real
+from numbers import Integral, Real
 from typing import Any, TypeVar, get_args
 
 import numpy as np
@@ -184,8 +184,17 @@ def check_functions(task: Task) -> None:
         if not isinstance(ended := call(name, now), bool | np.bool_):
             raise call.wrong(name, f"returned {ended!r}: must be True or False")
     check_reward(task, call("reward", begun, now))
-    if taken := {*told_of(task, now), "wall_s", "phase_s", "host_phase_s"} & {*call.mapping("info", now)}:
+    _check_info(task, call, now)
+
+
+def _check_info(task: Task, call: Functions, now: Moment) -> None:
+    info = call.mapping("info", now)
+    if taken := {*told_of(task, now), "wall_s", "phase_s", "host_phase_s"} & {*info}:
         raise call.wrong("info", f"{min(taken)!r} is an item of all tasks: name yours otherwise")
+    for name, kind in (("lane", Integral), ("distance_m", Real)):  # which are columns of a run's rows
+        if name in info and not (isinstance(info[name], kind) and math.isfinite(info[name])):
+            what = "a whole" if kind is Integral else "a finite"
+            raise call.wrong("info", f"{name!r} is {info[name]!r}: must be {what} number, or name yours otherwise")
 
 
 def _check_features(task: Task, call: Functions, state: Kinematics, course: Mapping[str, Any]) -> None:

@@ -212,8 +212,7 @@ class KernelBatch(TurnBatch):
     def _get_state(self, lane: int) -> State:
         """Return a lane's running game for np.savez: another batch of this task continues it to the same bytes."""
         before, options = self._sampled_by[lane]
-        generators = {"generator": self._generators[lane].bit_generator.state, "drawn_by": before, "options": options}
-        texts = {name: json.dumps(each, default=plain) for name, each in generators.items()}
+        texts = {name: json.dumps(each, default=plain) for name, each in (("drawn_by", before), ("options", options))}
         arrays = {name: array[lane].copy() for name, array in self._state_arrays().items()}
         return {**texts, "games": self._games[lane], **arrays}
 
@@ -226,7 +225,6 @@ class KernelBatch(TurnBatch):
             self._drawn = [self._maker.sample(np.random.default_rng(0), 0)] * self.num_envs  # none of them is flown
             self._running = self._blank_games()
         self._drawn[lane] = self._draw(lane, json.loads(str(state["options"])))
-        generator.bit_generator.state = json.loads(str(state["generator"]))
         for name, array in self._state_arrays().items():
             array[lane] = state[name]
         return mapped(np.copy, select(self._running.observations, lane))

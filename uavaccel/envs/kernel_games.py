@@ -158,8 +158,7 @@ def plan_of(task: Task, hull: NDArray[np.float64], modes: NDArray[np.int64], pic
     timing = timing_of(task, pictures)
     kept = task.mediation.start_speed
     start_speed = np.nan if kept is None else kept
-    ticks = slices_of(task).ticks
-    return Command(ticks, task.dvs_ticks or 0, profile.tick_ns, hull, modes, hold, start_speed, timing)
+    return Command(task.dvs_ticks or 0, profile.tick_ns, hull, modes, hold, start_speed, timing)
 
 
 def since_ns_of(task: Task) -> int:

@@ -118,8 +118,6 @@ class Timing(NamedTuple):
 class Command(NamedTuple):
     """How commands are flown and observed, the same for all lanes."""
 
-    slices: Operand
-    """(S,): ticks from each sample to the next."""
     event_ticks: int
     """Ticks between frames of the event camera; 0 if it records the samples alone."""
     tick_ns: int

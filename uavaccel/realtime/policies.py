@@ -13,7 +13,7 @@ import sys
 import weakref
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Protocol, cast
 from urllib.parse import urlsplit
 
 import numpy as np
@@ -62,7 +62,7 @@ class Policy:
 
     def __call__(self, observation: Any) -> Any:
         """Return the action for an observation, in the type of its space: some environments refuse any other."""
-        action, wanted = fitting(self._act(observation), self._actions, self.name), self._actions.dtype
+        action, wanted = fitting(self._act(observation), self._actions, self.name), cast(Any, self._actions.dtype)
         if not isinstance(action, np.ndarray) or not np.can_cast(action.dtype, wanted, "same_kind"):
             return action
         with np.errstate(over="ignore"):  # infinite then, and so no action

@@ -18,7 +18,6 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
-from pathlib import Path
 from typing import Annotated, Literal, Self
 
 import mujoco
@@ -28,6 +27,7 @@ from pydantic import BeforeValidator, Field, field_validator, model_validator
 
 from uavaccel.config import Config, Seed, Share, load_yaml, validate
 from uavaccel.errors import UserError
+from uavaccel.own_code import file_beside
 from uavaccel.sim.poses import check_wind
 from uavaccel.sim.scene import PLAIN, refit_bounding_boxes
 from uavaccel.units import ned_to_mujoco
@@ -293,7 +293,7 @@ def parse_lane(lane: object) -> object:
     For use in validators, inside which pydantic refuses a list for a tuple. Raises UserError naming file and key.
     """
     try:
-        written = load_yaml(Path(lane)) if isinstance(lane, str) else lane
+        written = load_yaml(file_beside(lane)) if isinstance(lane, str) else lane
     except UserError as error:
         raise UserError(f"lane: {error}") from None
     if isinstance(written, Mapping) and "seed" not in written:

@@ -30,6 +30,7 @@ from pydantic import (
 
 from uavaccel.config import MOST_LATENCY_US, MOST_SCALE, Config, LatencyUs, Share, load_yaml, validate
 from uavaccel.errors import UserError, suggestion
+from uavaccel.own_code import file_beside
 from uavaccel.resources import experiment
 from uavaccel.sim.profile import AIRSIM, PROFILES, Executor, Frames, Profile, airsim_variant
 from uavaccel.units import QUANTILES as QUANTILES
@@ -284,7 +285,7 @@ def _from_block_or_file(value: object, validated: ValidatorFunctionWrapHandler, 
             value = _completed(value, of_the_profile(info.data).model_dump(mode="json"))  # it changes what ships
     if isinstance(value, str | Path):
         try:
-            value = read_latency(Path(value))
+            value = read_latency(file_beside(value))
         except UserError as error:
             raise UserError(f"latency: {error}") from None
     model: LatencyConfig = validated(value)
