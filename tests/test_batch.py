@@ -31,7 +31,7 @@ NAME = "uavaccel/ObstacleLane-v0"
 COMMANDS = 7
 ADSC = {"timing": "virtual", "command": "adsc", "clock_speed": 5.0}
 FLOWN: list[tuple[str, tuple[int, int], dict[str, Any]]] = [  # mode; lanes, processes
-    ("SameStep", (3, 2), {"observation": "depth", "also_state": True, **ADSC}),
+    ("SameStep", (3, 2), {"observation": "depth", "also_state": True, "max_commands": 3, **ADSC}),
     ("NextStep", (2, 1), {"history": 2, "difficulty": {"scenery": "forest"}, "image_noise": 2.0}),
 ]
 
