@@ -54,6 +54,16 @@ def test_names_are_numbered_and_there_is_room_again(wire: AirSimWire) -> None:
     assert spawn(wire, "late", "Cube", (30.0, 30.0, -20.0)) == "late"
 
 
+def test_one_that_grows_is_in_the_way_and_is_hit_by_its_name(wire: AirSimWire) -> None:
+    name, ends = spawn(wire, "hut", "Cube", (30.0, 30.0, -20.0)), [point(28.0, y, -20.0) for y in (0.0, 60.0)]
+    for metres, free in ((1.0, True), (6.0, False)):
+        assert wire.call("simSetObjectScale", name, point(metres, metres, metres))
+        assert wire.call("simTestLineOfSightBetweenPoints", *ends) is free
+    wire.call("simSetVehiclePose", pose(30.0, 30.0, -23.04), False, "")
+    wire.fly(0.01)
+    assert wire.call("simGetCollisionInfo", "")["object_name"] == name
+
+
 @pytest.mark.opengl
 def test_pictures_of_segmentation_have_the_colours_of_the_ids(wire: AirSimWire) -> None:
     assert wire.call("simSetSegmentationObjectID", BLOCK, 42, False)

@@ -118,6 +118,14 @@ def test_the_air_and_the_field_are_those_of_the_place() -> None:
     assert (north, east, down) == pytest.approx(2.0 * there, abs=1e-6)
 
 
+def test_rotors_carry_the_vehicle_and_turn_with_the_root_of_their_thrust() -> None:
+    rotors = AirSimWire().call("getRotorStates", "")["rotors"]
+    assert sum(rotor["thrust"] for rotor in rotors) == pytest.approx(9.80665, rel=0.02), "of 1 kg in air at sea level"
+    assert [rotor["speed"] for rotor in rotors] == pytest.approx(
+        [669.857 * math.sqrt(rotor["thrust"] / 4.179446268) for rotor in rotors]
+    )
+
+
 def test_a_gps_converges_and_is_as_late_in_velocity_as_in_place() -> None:
     home = {"Latitude": 10, "Longitude": 20, "Altitude": 300}
     sensors = {"Gps": {"SensorType": 3, "EPV_TimeConstant": 1.8, "EpvInitial": 50.0}}

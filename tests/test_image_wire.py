@@ -17,7 +17,7 @@ from uavaccel.sim.profile import NATIVE
 from uavaccel.sim.world import World
 from uavaccel.wire import rpc
 from uavaccel.wire.api import Api
-from uavaccel.wire.image_api import decode_image
+from uavaccel.wire.image_api import decode_image, projection
 from uavaccel.wire.pictures import can_render, colours, id_of_name
 from uavaccel.wire.types import EPOCH_NS
 
@@ -175,6 +175,8 @@ def test_camera_info_projects_a_corner_to_its_pixel(blocks: AirSimWire) -> None:
     assert w == -north  # AirSim's matrix takes north for behind
     column, row = (1 - x / w) * COLUMNS / 2, (1 + y / w) * ROWS / 2
     assert near == 10.0  # centimetres, as in Unreal
+    upright = projection(Lens(ROWS, COLUMNS, 90.0))  # as AirSim has it
+    assert (upright[0, 1], upright[1, 2]) == pytest.approx((COLUMNS / ROWS, -1.0))
     seen = cast_rays(pose, {"block_north": BLOCKS["block_north"]}).box
     patch = seen[int(row) - 2 : int(row) + 3, int(column) - 2 : int(column) + 3]
     assert 0 < (patch == 0).sum() < patch.size

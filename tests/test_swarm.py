@@ -15,7 +15,7 @@ from uavaccel.envs.hover import Hover
 from uavaccel.envs.swarm import Swarm, SwarmTask
 from uavaccel.errors import UserError
 
-NORTH, SOUTH, STAY = np.array([1.0, 0.0, 0.0]), np.array([-1.0, 0.0, 0.0]), np.zeros(3)
+NORTH, SOUTH, DOWN, STAY = np.array([[1.0, 0.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 0.0, 0.0]])
 IN_LINE: dict[str, Any] = {
     "starts_m": [[0.0, 0.0, -5.0], [4.0, 0.0, -5.0], [0.0, 30.0, -5.0]],
     "goals_m": [[50.0, 0.0, -5.0], [-50.0, 0.0, -5.0], [2.0, 30.0, -5.0]],
@@ -71,16 +71,17 @@ def test_a_drone_far_from_others_flies_as_it_does_alone() -> None:
 
 def test_each_is_told_where_the_others_are_until_they_are_gone() -> None:
     with closing(Swarm(drones=3)) as drones:
-        observations, _ = drones.reset(options=IN_LINE | {"goals_m": [[50.0, 0, -5], [4.3, 0.0, -5.0], [0, 90.0, -5]]})
-        np.testing.assert_allclose(observations["drone_0"][13:16], [4.0, 0.0, 0.0], atol=1e-5)
-        np.testing.assert_allclose(observations["drone_2"][13:16], [0.0, -30.0, 0.0], atol=1e-5)
-        first = drones.step({"drone_0": NORTH, "drone_1": STAY, "drone_2": STAY})
+        starts_m, goals_m = [[4.0, 0, -9], [4.0, 0, -5], [0.0, 30, -5]], [[50.0, 0, -5], [4.3, 0, -5], [0.0, 90, -5]]
+        observations, _ = drones.reset(options={"starts_m": starts_m, "goals_m": goals_m})
+        np.testing.assert_allclose(observations["drone_0"][13:16], [0.0, 0.0, 4.0], atol=1e-5)
+        np.testing.assert_allclose(observations["drone_2"][13:16], [4.0, -30.0, -4.0], atol=1e-5)
+        first = drones.step({"drone_0": DOWN, "drone_1": STAY, "drone_2": STAY})
         assert first[2]["drone_1"], "which began at its goal"
         velocity = -first[0]["drone_2"][16:19]
-        seen = drones.step({"drone_0": NORTH, "drone_2": STAY})[0]
-        assert velocity[0] < 0.0 == seen["drone_0"][13:19].max() == seen["drone_0"][13:19].min()
+        seen = drones.step({"drone_0": DOWN, "drone_2": STAY})[0]
+        assert velocity[2] < 0.0 == seen["drone_0"][13:19].max() == seen["drone_0"][13:19].min()
         assert seen["drone_0"][19:22][1] == pytest.approx(30.0, abs=0.1)
-        while (info := drones.step({"drone_0": NORTH, "drone_2": STAY})[4]["drone_0"])["position_m"][0] < 6.0:
+        while (info := drones.step({"drone_0": DOWN, "drone_2": STAY})[4]["drone_0"])["position_m"][2] < -4.0:
             assert info["collision"] is None, "with one that has left"
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from tests.flying import STRAIGHT, call, go_on, place, pose
+from tests.flying import STRAIGHT, call, go_on, place, point, pose
 from uavaccel.errors import UserError
 from uavaccel.sim.profile import NATIVE, Profile
 from uavaccel.sim.simulation import Simulation
@@ -23,9 +23,11 @@ ASIDE = {"X": 5, "Y": 5}
 MANY = 20
 
 
-def made(profile: Profile = NATIVE, render: bool = False, **settings: Any) -> Api:
+def made(profile: Profile = NATIVE, render: bool = False, airsim: bool = False, **settings: Any) -> Api:
     """A world of blocks with these settings."""
-    return Api(Simulation(World("blocks", profile)), Settings.model_validate(settings), render=render)
+    world, given = World("blocks", profile, airsim=airsim), Settings.model_validate(settings)
+    given.prepare(world)
+    return Api(Simulation(world), given, render=render)
 
 
 def fleet(profile: Profile = NATIVE, **vehicles: Any) -> Api:
@@ -81,6 +83,33 @@ def test_who_leads() -> None:
     assert [name for name, _ in Settings.model_validate(watched).created()] == ["B", "Z"]
 
 
+def test_a_placed_one_has_heading_home_sight_and_ground_of_its_own() -> None:
+    api = fleet(A={}, B={"X": -20, "Y": 10, "Z": -1, "Yaw": 90})
+    assert call(api, "simGetVehiclePose", "B")["orientation"]["z_val"] == pytest.approx(0.5**0.5)
+    gps = call(api, "getMultirotorState", "B")["gps_location"]
+    assert list(call(api, "getHomeGeoPoint", "B").values()) == pytest.approx(list(gps.values()), abs=1e-9)
+    assert call(api, "simTestLineOfSightToPoint", point(-20.0, 10.0, -20.0), "B")
+    api.simulation.settle(api.simulation.wall_ns)
+    assert call(api, "simGetCollisionInfo", "B")["collision_count"] == 0, "it stands from the beginning"
+
+
+def test_how_deep_one_is_in_the_ground_is_told_as_it_changes() -> None:
+    api = fleet(A={}, B={"X": -20, "Y": 10, "Z": -1})
+    go_on(api, 3.0)
+    depth_m = call(api, "simGetCollisionInfo", "B")["penetration_depth"]
+    assert depth_m == pytest.approx(place(api, "B")[2] - 1.0, abs=1e-6), "its frame begins 1.045 m above the ground"
+
+
+def test_a_newcomer_finds_air_and_objects_as_they_are() -> None:
+    api = made(airsim=True, OriginGeopoint={"Altitude": 3000})
+    call(api, "simSpawnObject", "box", "Cube", pose(5.0, 0.0, -10.0), point(1.0, 1.0, 1.0), False, False)
+    call(api, "simAddVehicle", "New", "simpleflight", pose(3.0, -6.0, 0.0), "")
+    for vehicle, there_m in {"": (5.0, 0.0, -10.0), "New": (2.0, 6.0, -10.0)}.items():
+        for place_m, refused in ((there_m, "m inside"), ((0.0, 0.0, -18_000.0), "thin air")):
+            with pytest.raises(rpc.RpcError, match=refused):
+                call(api, "simSetVehiclePose", pose(*place_m), False, vehicle)
+
+
 @pytest.mark.parametrize("frame", ["VehicleInertialFrame", "SensorLocalFrame"])
 def test_a_lidar_scans_around_its_own_vehicle(frame: str) -> None:
     """All of a scan: as many azimuths for each channel, the upmost channel first; the ground where it is."""
@@ -121,6 +150,10 @@ def test_a_camera_sees_through_its_own_vehicle_alone() -> None:
         call(api, "simSetCameraPose", "0", pose(0.0, 0.0, 0.0), vehicle)
         assert call(api, "simAddDetectionFilterMeshName", "0", 0, "block_north", vehicle) is None
         assert [each["name"] for each in call(api, "simGetDetections", "0", 0, vehicle)] == ["block_north"]
+        call(api, "simSetDetectionFilterRadius", "0", 0, 1000.0, vehicle)
+        call(api, "simClearDetectionMeshNames", "0", 0, vehicle)
+        call(api, "simAddDetectionFilterMeshName", "0", 0, "block_north", vehicle)
+        assert call(api, "simGetDetections", "0", 0, vehicle) == [], "the radius, 10 m, is kept"
         call(api, "simSetCameraPose", "0", pose(0.0, 0.0, 0.0, w_val=0.5**0.5, y_val=-(0.5**0.5)), vehicle)
         ground = normals("0", vehicle, False)
         assert (ground == np.array([255, 128, 128], np.uint8)).all(), "blue, which is up, and nothing of itself"
