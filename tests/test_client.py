@@ -126,6 +126,13 @@ def test_the_client_expects_its_answers_when_they_are_due() -> None:
     assert client.clock_speed == 20.0
 
 
+def test_a_refusal_that_nobody_joins_comes_with_the_next_answer() -> None:
+    client, _ = new_client()
+    client.move_async(NORTH, 0.0015)
+    with pytest.raises(rpc.RpcError, match=r"0\.0015"):
+        client.continue_for(2 * MS)
+
+
 def test_a_recording_arrives_as_it_was_made() -> None:
     client, transport = new_client()
     client.move_async(NORTH, 0.5)

@@ -133,7 +133,7 @@ LIKELY = {"platform": {"faults": {"dropped": 0.2, "stalled": 0.3, "late": 0.4}}}
 
 def test_a_fault_delays_a_message_by_its_own_time() -> None:
     for fault, late_ms in (("dropped", 200), ("stalled", 40), ("late", 10)):
-        latency = latency_of(validate(LatencyConfig, {"platform": {"faults": {fault: 1.0}}}, "test"))
+        latency = latency_of(validate(LatencyConfig, {"scale": 3.0, "platform": {"faults": {fault: 1.0}}}, "test"))
         assert [latency.request_ns("call"), latency.reply_ns("call")] == [late_ms * MS] * 2
 
 

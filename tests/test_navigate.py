@@ -11,6 +11,7 @@ from tests.test_still_scenes import HULL, cast_all, touch_all
 from uavaccel.envs.kernel_batch import KernelBatch
 from uavaccel.envs.kernel_games import GameMaker
 from uavaccel.envs.navigate import Navigate, NavigateTask
+from uavaccel.envs.values import AT_REST
 from uavaccel.kernels import fields
 from uavaccel.kernels import scene as in_scene
 from uavaccel.sim import clutter as at
@@ -69,6 +70,11 @@ def test_mujoco_has_the_shapes_where_the_layout_has_them() -> None:
     mujoco.mj_kinematics(world.model, world.data)
     far = mujoco.mj_ray(world.model, world.data, [*start, 8.0], [1.0, 0.0, 0.0], None, 1, -1, hit)
     assert far <= 3.0 - row[at.HALF_X] + 1e-12
+
+
+@pytest.mark.parametrize(("metres", "told"), [(7.5, 0.5), (29.0, 29.0 / 15.0), (45.0, 2.0)])
+def test_a_goals_distance_is_told_in_15_m_up_to_2(metres: float, told: float) -> None:
+    assert NavigateTask().fields(AT_REST, {"goal_m": [0.0, metres, 0.0]})[3] == pytest.approx(told)
 
 
 def test_a_drone_that_flies_at_a_pillar_collides_with_it_by_name() -> None:

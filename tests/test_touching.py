@@ -10,6 +10,7 @@ import pytest
 from tests.simulating import fly_velocity, go_to, put_vehicle, simulate
 from uavaccel.errors import UserError
 from uavaccel.kinematics import VelocityGoal
+from uavaccel.sim.lane import layout_from
 from uavaccel.sim.poses import LEVEL
 from uavaccel.sim.profile import NATIVE
 from uavaccel.sim.simulation import Simulation
@@ -38,6 +39,16 @@ def test_in_the_lane_a_teleport_ends_a_collision() -> None:
     assert world.lead.contact_log.count == 0
     assert world.advance(100) == 100
     assert world.lead.place_m == pytest.approx((5.0, 0.0, -2.0), abs=0.2)
+
+
+@pytest.mark.parametrize(("place_m", "hit"), [((29.5, 4.67, -2.0), "obstacle_00"), ((29.27, 4.8, -2.0), "wall_east")])
+def test_of_two_contacts_at_once_the_deeper_is_told(place_m: tuple[float, float, float], hit: str) -> None:
+    world = World("lane", NATIVE)
+    world.set_lane(layout_from({"obstacles": [{"x_m": 30.0, "y_m": 4.0, "half_side_m": 0.4}]}, "test"))
+    put_vehicle(world, place_m)
+    world.advance(1)
+    assert world.lead.contact_log.first is not None
+    assert world.lead.contact_log.first.object == hit
 
 
 def test_the_velocity_is_that_of_the_path_while_contacts_push() -> None:

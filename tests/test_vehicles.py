@@ -179,6 +179,9 @@ def test_each_sees_through_its_own_cameras() -> None:
         np.testing.assert_allclose(depth_m[70:74, 120:136], height_m - 0.12, rtol=2e-3)
         told = list(picture["camera_position"].values())
         assert told == pytest.approx([0.0, 0.0, 0.045 - height_m + 0.12], abs=1e-6)
+    call(api, "simSetVehiclePose", pose(-28.0, -30.0, 0.045 - 25.0), True, "A")  # 2 m to the north of B
+    (ahead,) = call(api, "simGetImages", [request | {"camera_name": "0"}], "B")
+    assert min(ahead["image_data_float"]) == pytest.approx(1.4, abs=0.3), "from the camera to the other's rear"
 
 
 def test_of_several_at_once_one_that_is_too_near_is_refused_with_all() -> None:

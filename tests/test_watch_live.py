@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.flying import STRAIGHT, call, hovering, pose
+from tests.flying import STRAIGHT, call, go_on, hovering, point, pose
 from tests.learning import tiny_config
 from tests.running import configured, fly_into
 from uavaccel.cli.experiments import run_experiment
@@ -22,6 +22,9 @@ from uavaccel.errors import UsageError
 from uavaccel.fly.command import fly
 from uavaccel.fly.options import FlightOptions
 from uavaccel.records import RunDirectory
+from uavaccel.sim.profile import NATIVE
+from uavaccel.sim.simulation import Simulation
+from uavaccel.sim.world import World
 from uavaccel.suites.dp1 import Dp1
 from uavaccel.suites.evaluate import Evaluation
 from uavaccel.suites.session import RunRequest
@@ -30,7 +33,8 @@ from uavaccel.watch import beside
 from uavaccel.watch.beside import page_beside
 from uavaccel.watch.page import Moment
 from uavaccel.watch.sources import Live, Told
-from uavaccel.wire.broadcast import FREE, PAGE, REFRESH_NS, heading
+from uavaccel.wire.api import Api
+from uavaccel.wire.broadcast import FREE, PAGE, REFRESH_NS, heading, show_on_page
 from uavaccel.wire.session import open_session
 
 POLL_S = 16 * 0.002  # 16 ticks, the whole number nearest to REFRESH_NS
@@ -173,6 +177,21 @@ def test_a_lanes_obstacles_and_a_further_game_are_told(feed: Live) -> None:
     assert len(flights) == 2
     places = {scene.data.geom_xpos.tobytes() for scene in scenes}
     assert len(places) >= 2  # each lane has its own obstacles
+
+
+def test_an_object_that_a_script_spawns_is_shown(feed: Live, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("uavaccel.wire.broadcast.SCENE_NS", 0)
+    monkeypatch.setattr("uavaccel.wire.broadcast.UNSEEN_NS", 0)
+    api = Api(Simulation(World("blocks", NATIVE, airsim=True)), render=False)
+    show_on_page(api.simulation, may_pause=False)
+    scenes = []
+    for name in ("crate", "hut"):
+        call(api, "simSpawnObject", name, "Cube", pose(5.0, 0.0, -3.0), point(1.0, 1.0, 1.0), False, False)
+        go_on(api, 0.1)
+        feed.update(0.0, seen=False)
+        feed.update(0.0, seen=True)
+        scenes.append(feed.scene.model.geom_rgba[:, 3] if feed.scene else np.zeros(0))
+    assert (scenes[1] > 0.0).sum() == (scenes[0] > 0.0).sum() + 1
 
 
 @pytest.mark.wall_clock
