@@ -54,6 +54,11 @@ def test_a_lane_of_ones_own_is_the_layout_wherever_it_is_flown() -> None:
     assert (found.x_m.tolist(), found.round.tolist()) == ([13.0], [True])
 
 
+def test_t_th_of_wall_timers_is_the_latency_or_a_tenth_of_a_sample() -> None:
+    keys: dict[str, Any] = {"profile": "airsim", "t_move_s": 1.0, "t_sample_s": 0.33, "t_th_wall_s": 0.001}
+    assert [HoverTask(**keys, clock_speed=speed).t_th_ns for speed in (10.0, 100.0)] == [10_000_000, 33_000_000]
+
+
 def test_beside_pictures_gates_are_to_be_seen() -> None:
     """The state is the vehicle's own: wherever the gates are, it is the same, and it knows how high it is."""
     task = GatesTask(observation="depth", also_state=True, altitude_m=3.0)
