@@ -23,7 +23,6 @@ from tests.opengl import needs_opengl
 from tests.running import configured, fly_into
 from uavaccel.config import validate
 from uavaccel.envs.hover import HoverTask
-from uavaccel.envs.kernel_batch import KernelBatch
 from uavaccel.envs.navigate import Navigate
 from uavaccel.envs.obstacle_lane import LaneTask, ObstacleLane
 from uavaccel.envs.sensors import ContextPlanes
@@ -158,15 +157,13 @@ def test_the_state_is_of_the_next_decision_none_after_a_touch() -> None:
         way_m = np.subtract(info["goal_m"], info["position_m"])
         np.testing.assert_allclose(seen["state"][:3], way_m / (np.linalg.norm(way_m) + 1e-3), atol=1e-5)
     lane = {"obstacles": [{"x_m": 1.5, "y_m": 0.0, "half_side_m": 0.5}]}
-    keys: dict[str, Any] = {"lane": lane, "observation": "depth", "also_state": True}
-    with closing(ObstacleLane(**keys)) as wall, closing(KernelBatch(ObstacleLane, 1, **keys)) as walls:
-        for each, action in ((walls, np.array([2])), (wall, 2)):
-            each.reset(seed=0)
-            seen, over = {}, False
-            while not over:
-                seen, _, over, _, info = each.step(action)
-            assert not seen["state"].any()
+    with closing(ObstacleLane(lane=lane, observation="depth", also_state=True)) as wall:
+        wall.reset(seed=0)
+        seen, over = {}, False
+        while not over:
+            seen, _, over, _, info = wall.step(2)
         assert info["collision"]
+        assert not seen["state"].any()
         assert seen["state"].shape == (13,)
 
 

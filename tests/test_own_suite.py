@@ -17,7 +17,7 @@ import pytest
 from tests.running import run_into
 from uavaccel import VelocityGoal, open_session, tcsc
 from uavaccel.errors import UserError
-from uavaccel.own_code import folder_of, own_function, trusting
+from uavaccel.own_code import file_beside, folder_of, own_function, trusting
 from uavaccel.suites.registry import find_suite
 from uavaccel.suites.session import RunRequest, reading
 
@@ -175,6 +175,14 @@ def test_code_that_the_named_yaml_does_not_name_needs_trust(
     assert asks in said(f"{command} --dry-run")
     assert not (here / "ran").exists()
     assert "it ran" in said(f"{command} --dry-run --trust")
+
+
+def test_a_file_here_goes_before_one_beside_the_yaml(here: Path) -> None:
+    (here / "theirs").mkdir()
+    for folder in ("theirs", "."):
+        (here / folder / "lane.yaml").write_text("obstacles: []\n")
+        with trusting(beside=here / "theirs"):
+            assert file_beside("lane.yaml").resolve() == here / folder / "lane.yaml"
 
 
 def test_own_code_is_trusted_once_until_it_changes(

@@ -46,11 +46,27 @@ def test_drones_that_meet_touch_each_other_and_leave() -> None:
         assert (info["collision"], other["collision"], third["collision"]) == ("drone_1", "drone_0", None)
         assert (over, cut, reward < -9.0) == (True, False, True)
         assert 1.2 < info["position_m"][0] < other["position_m"][0] < 2.8
+        assert other["position_m"][0] - info["position_m"][0] == pytest.approx(0.68, abs=0.01), "where they touched"
         assert (third["is_success"], won > 10.0) == (True, True)
         assert third["distance_m"] <= 0.5
         # a game that follows does not know of it
         assert [each["collision"] for each in drones.reset(options=IN_LINE)[1].values()] == [None] * 3
         assert all(not each["collision"] for each in drones.step(dict.fromkeys(drones.agents, STAY))[4].values())
+
+
+def test_who_wins_with_the_last_command_is_not_cut_short() -> None:
+    with closing(Swarm(drones=3, max_commands=1)) as drones:
+        drones.reset(options=IN_LINE | {"goals_m": [[0.3, 0.0, -5.0], *IN_LINE["goals_m"][1:]]})
+        _, _, over, cut, _ = drones.step(dict.fromkeys(drones.agents, STAY))
+        assert [(over[agent], cut[agent]) for agent in over] == [(True, False), (False, True), (False, True)]
+
+
+def test_a_seed_repeats_its_game_and_those_that_follow() -> None:
+    with closing(Swarm(drones=2)) as drones:
+        seeds = (3, None, 3, None)
+        first, second, *again = [drones.reset(seed)[1]["drone_0"]["goal_m"] for seed in seeds]
+        assert first != second
+        assert again == [first, second]
 
 
 def test_a_drone_far_from_others_flies_as_it_does_alone() -> None:
