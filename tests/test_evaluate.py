@@ -414,11 +414,17 @@ def test_a_game_has_a_seed_of_its_lane_and_the_run() -> None:
     seed = game_seed(configs[1], 3)
     assert game_seed(configs[0], 3) == np.random.SeedSequence([0, 3]).generate_state(1)[0] != seed
     told: list[Any] = []
-    agent: Any = SimpleNamespace(act=lambda *seen: 2, reset=lambda seed: told.append(seed))
-    environment: Any = SimpleNamespace(charge=told.append, step=lambda action: (None, 0.0, True, False, {}))
-    environment.reset = lambda seed, options: told.append((seed, options)) or (None, {})
+
+    def reset(**given: Any) -> tuple[None, dict[str, Any]]:
+        told.append(given)
+        return None, {}
+
+    agent: Any = SimpleNamespace(act=lambda *seen: 2, reset=told.append)
+    environment: Any = SimpleNamespace(reset=reset, charge=told.append, step=lambda _: (None, 0.0, True, False, {}))
     assert [step.action for step in fly_lane(configs[1], environment, agent, 3)] == [2]
-    assert told == [(seed, {"lane": 3}), seed, configs[1].inference_s], "both begin with the game's own seed"
+    assert told == [{"seed": seed, "options": {"lane": 3}}, seed, configs[1].inference_s], (
+        "both begin with the game's own seed"
+    )
 
 
 def test_the_paired_comparison_is_mcnemars_on_common_lanes(tmp_path: Path) -> None:
