@@ -381,9 +381,11 @@ def test_a_quick_run_says_so_and_with_which_keys(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("suite", "command"), [("train", "train"), ("evaluate", "evaluate"), (None, "run")])
 def test_an_interrupted_run_says_which_command_goes_on(suite: str | None, command: str, tmp_path: Path) -> None:
-    (tmp_path / "config.yaml").touch()
-    plan: Any = SimpleNamespace(out=tmp_path, request=RunRequest("train", suite=suite))
-    expected = re.escape(f"interrupted; go on with: uavaccel {command} --resume --out {tmp_path}")
+    out = tmp_path / "a run"  # as the shell takes it
+    out.mkdir()
+    (out / "config.yaml").touch()
+    plan: Any = SimpleNamespace(out=out, request=RunRequest("train", suite=suite))
+    expected = re.escape(f"interrupted; go on with: uavaccel {command} --resume --out '{out}'")
     with pytest.raises(Interrupted, match=f"^{expected}$"), resumable(plan):
         raise KeyboardInterrupt
 

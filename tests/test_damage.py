@@ -9,6 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import torch as th
 
@@ -78,6 +79,17 @@ def test_a_damaged_checkpoint_is_one_line(copy: Path, name: str, damage: Callabl
     assert (copy / "rows.jsonl").read_bytes().startswith(rows[: rows.index(b"\n")])
     shutil.rmtree(checkpoint)  # what the line says
     assert RunDirectory(copy).config()["games"] == 5
+
+
+def test_a_checkpoint_of_more_environments_says_how_many(copy: Path) -> None:
+    checkpoint = find_checkpoint(copy / CHECKPOINTS)
+    assert checkpoint is not None
+    with np.load(checkpoint / "games.npz") as saved:
+        games = dict(saved)
+    np.savez(checkpoint / "games.npz", **games, **{f"9{name}": each for name, each in games.items()})
+    count = 2 * len({name.partition(".")[0] for name in games})
+    with pytest.raises(UserError, match=f"the checkpoint has {count} environments; go on with as many"):
+        train_into(copy, config(), resume=True)
 
 
 def test_rows_that_only_the_checkpoint_knows_are_named(copy: Path) -> None:

@@ -35,7 +35,7 @@ from uavaccel.rl.learner import make_learner
 from uavaccel.rl.policy import MANIFEST, Policy, export_policy, load_policy, make_policy
 from uavaccel.sim.lane import lane_seed, sample_layout
 from uavaccel.suites import evaluate_again
-from uavaccel.suites.evaluate import EvaluateConfig, Evaluation, against, game_seed, row_of
+from uavaccel.suites.evaluate import EvaluateConfig, Evaluation, against, fly_lane, game_seed, row_of
 from uavaccel.suites.evaluate_again import flight_of_agent
 from uavaccel.suites.flight import film_game, film_of
 from uavaccel.suites.report import Summary
@@ -411,7 +411,20 @@ def test_measured_flights_are_filmed_by_the_events_of_messages(monkeypatch: pyte
 def test_a_game_has_a_seed_of_its_lane_and_the_run() -> None:
     configs = [validate(EvaluateConfig, {"agent": "straight", "seed": seed}, "test") for seed in (0, 1)]
     assert len({game_seed(config, lane) for config in configs for lane in range(50)}) == 100
-    assert game_seed(configs[0], 3) == np.random.SeedSequence([0, 3]).generate_state(1)[0]
+    seed = game_seed(configs[1], 3)
+    assert game_seed(configs[0], 3) == np.random.SeedSequence([0, 3]).generate_state(1)[0] != seed
+    told: list[Any] = []
+
+    def reset(**given: Any) -> tuple[None, dict[str, Any]]:
+        told.append(given)
+        return None, {}
+
+    agent: Any = SimpleNamespace(act=lambda *seen: 2, reset=told.append)
+    environment: Any = SimpleNamespace(reset=reset, charge=told.append, step=lambda _: (None, 0.0, True, False, {}))
+    assert [step.action for step in fly_lane(configs[1], environment, agent, 3)] == [2]
+    assert told == [{"seed": seed, "options": {"lane": 3}}, seed, configs[1].inference_s], (
+        "both begin with the game's own seed"
+    )
 
 
 def test_the_paired_comparison_is_mcnemars_on_common_lanes(tmp_path: Path) -> None:

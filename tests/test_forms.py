@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -21,6 +22,7 @@ from uavaccel.suites.dp1 import Dp1
 from uavaccel.suites.evaluate import Evaluation
 from uavaccel.suites.registry import SUITES, find_suite, open_run
 from uavaccel.suites.suite import AnySuite
+from uavaccel.suites.train import EVALUATIONS, evaluations
 from uavaccel.watch.replay import recorded
 
 NAN = float("nan")
@@ -235,6 +237,22 @@ def test_host_times_that_are_no_numbers_are_named(tmp_path: Path) -> None:
         (run.path / "timing.jsonl").write_text(json.dumps(entry) + "\n")
         with pytest.raises(UserError, match=rf"timing\.jsonl: line 1: {said}"):
             run.timings()
+
+
+@pytest.mark.parametrize(("line", "said"), [
+    ({"successes": 2}, "successes should be the number of lanes won"),
+    ({"is_success": [True]}, "should have one entry for each lane"),
+    ({"distance_m": [1.0]}, "should have one entry for each lane"),
+    ({"lanes": [], "is_success": [], "successes": 0}, "should have one entry for each lane"),
+])  # fmt: skip
+def test_an_evaluation_that_contradicts_itself_is_named(line: dict[str, Any], said: str, tmp_path: Path) -> None:
+    whole = {"games": 4, "weights_sha256": "f0", "successes": 1, "lanes": [3, 4], "is_success": [True, False]}
+    for each in (whole, whole | line):
+        (tmp_path / EVALUATIONS).write_text(f"{json.dumps(whole)}\n{json.dumps(each)}\n")
+        if each is whole:
+            assert evaluations(SimpleNamespace(path=tmp_path)) == [whole] * 2  # type: ignore[arg-type]
+    with pytest.raises(UserError, match=rf"evaluations\.jsonl: line 2: .*{said}"):
+        evaluations(SimpleNamespace(path=tmp_path))  # type: ignore[arg-type]
 
 
 def test_a_configuration_that_no_longer_holds_is_named(tmp_path: Path) -> None:

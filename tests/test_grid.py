@@ -162,8 +162,9 @@ def test_a_sweep_is_around_the_options_of_evaluate(tmp_path: Path) -> None:
         configured("sweep", sweep={"windy": [1]})
     with pytest.raises(UsageError, match="--against"):
         sweep_agent(request, ["wind=2"], tmp_path)
-    with pytest.raises(UserError, match="--sweep latency: changes nothing in timing lockstep"):
-        sweep_agent(replace(request, options={**options, "timing": "lockstep"}), ["latency=1,2"], None)
+    for name in ("latency", "inference", "task.latency.scale"):
+        with pytest.raises(UserError, match=f"--sweep {name}: changes nothing in timing lockstep"):
+            sweep_agent(replace(request, options={**options, "timing": "lockstep"}), [f"{name}=1,2"], None)
 
 
 # --- robustness maps ----------------------------------------------------------------------------------------------

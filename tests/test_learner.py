@@ -292,9 +292,10 @@ def test_learning_rate_and_exploration_fall_with_the_games(kind: Any, fraction: 
     assert rate == 0.0 or kind is HostDQN
 
 
-def test_the_target_network_follows_now_and_then() -> None:
-    """Every 16 commands, whatever the number of lanes; in between it stays as it is."""
-    learner, _ = learning(2, {"target_update_interval": 16, "learning_starts": 10**6}, games=10**6)
+@pytest.mark.parametrize(("interval", "every"), [(16, 8), (1, 1)])
+def test_the_target_network_follows_now_and_then(interval: int, every: int) -> None:
+    """Every so many commands, whatever the number of lanes, and at most once a step; in between it stays as it is."""
+    learner, _ = learning(2, {"target_update_interval": interval, "learning_starts": 10**6}, games=10**6)
     online, target = learner.policy.q_net, learner.policy.q_net_target
     for steps in range(1, 17):
         with th.no_grad():
@@ -302,7 +303,7 @@ def test_the_target_network_follows_now_and_then() -> None:
                 parameter.add_(1.0)
         learner.advance()
         alike = [np.array_equal(weights_of(online)[:, part], weights_of(target)[:, part]) for part in (0, -1)]
-        assert alike == [steps in (8, 16)] * 2
+        assert alike == [steps % every == 0] * 2
 
 
 @BOTH

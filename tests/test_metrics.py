@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from itertools import permutations
+from typing import Any
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -205,6 +208,23 @@ def test_means_over_references_leave_out_the_game_itself() -> None:
     for references, said in (([straight(1), straight(2)], "exclude_self"), ([], "reference")):
         with pytest.raises(ValueError, match=said):
             mean_position_rmse([straight(1)], references, exclude_self=bool(references))
+
+
+@pytest.mark.parametrize(
+    ("times_s", "points_m", "lam", "said"),
+    [
+        ([1.0, 0.0], np.zeros((2, 3)), 0.5, "ascend"),
+        ([0.0, np.nan], np.zeros((2, 3)), 0.5, "finite"),
+        ([0.0], np.zeros((2, 3)), 0.5, "needs times"),
+        ([], np.zeros((0, 3)), 0.5, "needs times"),
+        ([0.0, 1.0], np.zeros((2, 3)), -0.1, "lam"),
+        ([0.0, 1.0], np.zeros((2, 3)), 1.1, "lam"),
+    ],
+)
+def test_what_is_no_flight_has_no_score(times_s: list[float], points_m: NDArray[Any], lam: float, said: str) -> None:
+    for one, other in permutations([(times_s, points_m), ([0.0, 1.0], np.zeros((2, 3)))]):
+        with pytest.raises(ValueError, match=said):
+            stlc(*one, *other, lam)
 
 
 @given(st.lists(flights(), min_size=1, max_size=4), st.lists(flights(), min_size=1, max_size=4))

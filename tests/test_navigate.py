@@ -14,6 +14,7 @@ from uavaccel.envs.navigate import Navigate, NavigateTask
 from uavaccel.envs.values import AT_REST
 from uavaccel.kernels import fields
 from uavaccel.kernels import scene as in_scene
+from uavaccel.rl.agents import reset_options
 from uavaccel.sim import clutter as at
 from uavaccel.sim.clutter import Clutter, sample_world
 from uavaccel.sim.profile import PROFILES
@@ -28,6 +29,7 @@ def test_a_world_is_a_function_of_its_seed() -> None:
     drawn = np.random.default_rng(3).random((len(once), 9))
     assert (once[:, at.X] == -4.0 + 48.0 * drawn[:, 1]).all()
     assert (at.BOX, at.CYLINDER) == (fields.BOX, fields.CYLINDER)
+    assert reset_options("uavaccel/Navigate-v0", 3) == {"world": 3}, "which an evaluation flies as its game 3"
 
 
 @pytest.mark.parametrize("seed", range(5))

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -186,7 +188,7 @@ def measure(
 
     check_new_file(out)
     make, keys = _environment(env, policy, overrides)
-    with trusting(trust):
+    with trusting(trust), _own_errors(env):
         found = measured(make, _policy(policy, make), steps, warm_up, seed, answer_s=answer, **keys)
     for line in found.lines():
         console.print(line)
@@ -219,7 +221,7 @@ def certify(
 
     seconds, file = _latencies(latency or [], factor or [])
     make, keys = _environment(env, policy, overrides)
-    with trusting(trust), working("episodes") as advance:
+    with trusting(trust), _own_errors(env), working("episodes") as advance:
         how: dict[str, Any] = {"episodes": episodes, "seed": seed, "success": success, "out": out, "resume": resume}
         how |= {"delay_steps": delay or None, "answer_s": answer, "jobs": jobs}
         found = certified(make, _policy(policy, make), seconds, file, **how, told=lambda row: advance(), **keys)
@@ -283,6 +285,19 @@ def _environment(env_id: str, policy: str, overrides: list[str] | None) -> tuple
             raise UserError(f"{env_id}: --set env.KEY: {error}") from error
 
     return make, keys
+
+
+@contextmanager
+def _own_errors(env_id: str) -> Iterator[None]:
+    """Name file, line and function of an environment of one's own that fails."""
+    from uavaccel.own_code import errors_named
+
+    try:
+        yield
+    except Exception:
+        file = getattr(sys.modules.get(env_id.partition(":")[0]), "__file__", None)
+        with errors_named(file and Path(file).resolve()):
+            raise
 
 
 def _policy(name: str, make: Callable[[], Any]) -> Any:

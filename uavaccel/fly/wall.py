@@ -152,12 +152,15 @@ class WallFlight:
 
 
 @contextmanager
-def serving(options: FlightOptions, clock_speed: float, settings: Path | None) -> Iterator[tuple[int, Watch]]:
-    """Run a server for one flight; its port, and the watch on its process. Raises UserError if it does not start.
+def serving(
+    options: FlightOptions, clock_speed: float, settings: Path | None, port: int = 0
+) -> Iterator[tuple[int, Watch]]:
+    """Run a server for one flight, at `port` or a free one; its port, and the watch on its process.
 
-    FlightOver is raised in the main thread if the server ends, or is stopped, within the `with` block.
+    FlightOver is raised in the main thread if the server ends, or is stopped, within the `with` block. Raises UserError
+    if it does not start.
     """
-    arguments = ["serve", "--port", "0", "--clock", f"{clock_speed:g}"]
+    arguments = ["serve", "--port", str(port), "--clock", f"{clock_speed:g}"]
     arguments += ["--profile", options.profile, "--scene", options.scene]
     arguments += ["--recordings", str(options.folder / RECORDINGS)]
     if settings:

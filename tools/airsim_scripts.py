@@ -1,7 +1,7 @@
 """Fly AirSim's own example scripts, unmodified, and write down which of them pass.
 
-    python experiments/airsim_scripts.py AIRSIM/PythonClient --client-python VENV/bin/python --page PAGE.md
-    python experiments/airsim_scripts.py AIRSIM/PythonClient --from-ground
+    python -m tools.airsim_scripts AIRSIM/PythonClient --client-python VENV/bin/python --page PAGE.md
+    python -m tools.airsim_scripts AIRSIM/PythonClient --from-ground
 
 Each script is flown twice: under `uavaccel fly` in virtual time, and by AirSim's own client over TCP against
 `uavaccel serve`, with a Python in whose environment `airsim` 1.8.1 is installed. A script passes if it ends well, or
@@ -38,7 +38,7 @@ FLOWN_M = 0.5  # shorter paths are no flight
 WIRE_CLOCK = 10.0
 WIRE_LIMIT_S, WIRE_LEAST_S = 60.0, 10.0
 FLY_LIMIT_S = 300.0
-COMMAND = "python experiments/airsim_scripts.py AIRSIM/PythonClient --client-python VENV/bin/python --page PAGE.md"
+COMMAND = "python -m tools.airsim_scripts AIRSIM/PythonClient --client-python VENV/bin/python --page PAGE.md"
 
 HEADER = f"""# AirSim's example scripts
 
@@ -263,8 +263,8 @@ def over_the_wire(plan: Plan, folder: Path, scratch: Path, python: Path, profile
     file = Path(settings[1]) if settings else None
     work, log = copied(folder, plan, scratch), scratch / "server.txt"
     limit_s = max(WIRE_LEAST_S, plan.until_s / WIRE_CLOCK) if plan.endless else plan.wire_s
-    with said_to(log), serving(options, WIRE_CLOCK, port=41451, settings=file) as served:
-        VehicleClient(port=served.port).startRecording()
+    with said_to(log), serving(options, WIRE_CLOCK, file, port=41451) as (port, _):
+        VehicleClient(port=port).startRecording()
         command = [str(python), Path(plan.script).name, *plan.arguments]
         status, output = run(command, work, limit_s, without_windows(scratch))
     told = [line.partition("warning: ")[2] for line in log.read_text().splitlines()]
