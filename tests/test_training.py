@@ -147,6 +147,7 @@ def test_a_training_that_is_over_goes_on_for_more_games(tmp_path: Path, monkeypa
     assert train_into(run, short.model_copy(update={"games": 7}), resume=True)["games"] == 7
     assert (run / "rows.jsonl").read_bytes().splitlines()[:kept] == before[:kept]
     assert RunDirectory(run).config()["games"] == 7
+    assert len(list((run / CHECKPOINTS).iterdir())) == 1, "older ones make room"
     unsaved = tiny_config(STATE, mirror=False, games=2, checkpoint_games=9)
     train_into(tmp_path / "unsaved", unsaved)
     with pytest.raises(UserError, match=r"games \(2 there, 4 here\)"):
