@@ -420,18 +420,18 @@ def test_an_environment_of_ones_own_is_beside_the_policy(capsys: pytest.CaptureF
     Path("own_cart.py").write_text(
         "import gymnasium\n"
         "from gymnasium.envs.classic_control import CartPoleEnv\n"
-        "gymnasium.register('Own-v0', CartPoleEnv, max_episode_steps=3)\n"
+        "gymnasium.register('Beside-v0', CartPoleEnv, max_episode_steps=3)\n"
         "def act(seen):\n    return 1\n"
         "class Stuck(CartPoleEnv):\n    def step(self, action):\n        raise KeyError('wheel')\n"
         "gymnasium.register('Stuck-v0', Stuck)\n"
     )
-    named = "timing certify own_cart.py:act own_cart:Own-v0 --episodes 2 --delay 1 --set default_action=0"
-    with pytest.raises(UserError, match=r"^environment 'own_cart:Own-v0': .* nobody has trusted here: "):
+    named = "timing certify own_cart.py:act own_cart:Beside-v0 --episodes 2 --delay 1 --set default_action=0"
+    with pytest.raises(UserError, match=r"^environment 'own_cart:Beside-v0': .* nobody has trusted here: "):
         ran(named)
     assert not ran(f"{named} --jobs 2 --trust")
-    assert "own_cart.py:act in Own-v0: holds 90% of its return" in capsys.readouterr().out
-    with pytest.raises(UserError, match=r"^environment 'own_card:Own-v0': no module 'own_card' in "):
-        ran("timing measure own_cart.py:act own_card:Own-v0")
+    assert "own_cart.py:act in Beside-v0: holds 90% of its return" in capsys.readouterr().out
+    with pytest.raises(UserError, match=r"^environment 'own_card:Beside-v0': no module 'own_card' in "):
+        ran("timing measure own_cart.py:act own_card:Beside-v0")
     for command in ("measure", "certify --delay 1"):
         with pytest.raises(UserError, match=r"own_cart.py:8: Stuck.step: KeyError: 'wheel'$"):
             ran(f"timing {command} own_cart.py:act own_cart:Stuck-v0 --set default_action=0 --out stuck")
