@@ -63,10 +63,10 @@ class Policy:
     def __call__(self, observation: Any) -> Any:
         """Return the action for an observation, in the type of its space: some environments refuse any other."""
         action, wanted = fitting(self._act(observation), self._actions, self.name), cast(Any, self._actions.dtype)
-        if not isinstance(action, np.ndarray) or not np.can_cast(action.dtype, wanted, "same_kind"):
-            return action
-        with np.errstate(over="ignore"):  # infinite then, and so no action
-            return fitting(action.astype(wanted, copy=False), self._actions, self.name)
+        if isinstance(action, np.ndarray) and action.dtype != wanted and np.can_cast(action.dtype, wanted, "same_kind"):
+            with np.errstate(over="ignore"):  # infinite then, and so no action
+                return fitting(action.astype(wanted), self._actions, self.name)
+        return action
 
     def reset(self, seed: int | None = None) -> None:
         """Begin an episode."""
