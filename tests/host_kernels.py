@@ -207,6 +207,10 @@ def shared(tensor: th.Tensor, dtype: Any = None) -> Any:
     return array if dtype is None else array.view(dtype).reshape(tensor.shape[0])
 
 
+def in_each_lane(kernel: Any, which: th.Tensor, *arguments: Any) -> None:
+    kernel[()](shared(which), arguments)
+
+
 def on_device(arrays: Any, device: th.device) -> tuple[Any, Any]:
     if not isinstance(arrays, np.ndarray):
         pairs = [on_device(array, device) for array in arrays]
@@ -235,8 +239,8 @@ def _size(name: str) -> Any:
 def host_kernels(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """`CudaLanes` and `CudaBatch` on "cpu"."""
     module = ModuleType(NAME)
-    functions = {"shared": shared, "on_device": on_device, "stream": lambda: None, "__getattr__": _size}
-    module.__dict__.update(functions, SideStream=Late, compiled=lambda nominal: Kernels())
+    functions = {each.__name__: each for each in (shared, on_device, in_each_lane)}
+    module.__dict__.update(functions, SideStream=Late, compiled=lambda nominal: Kernels(), __getattr__=_size)
     monkeypatch.setitem(sys.modules, NAME, module)
     monkeypatch.setattr(uavaccel.kernels, "cuda", module, raising=False)
     monkeypatch.setattr(th.cuda, "Event", Immediate)

@@ -38,7 +38,7 @@ class DeviceClocks:
         clocks = timeline.clocks(count, task.frames_per_command)
         self.tensors, self._clocks = kernels.on_device(clocks, device)
         self._now, self._view, self._advance = now, view, advance
-        self._count, self._hold_ticks = count, plan.hold_ticks
+        self._hold_ticks = plan.hold_ticks
         rules = plan.timing.rules
         self.guards, self._stale = bool(rules[timeline.GUARDED]), bool(rules[timeline.STALE_POSE])
         self._legs = th.zeros(count, dtype=th.int64, device=device)
@@ -125,5 +125,4 @@ class DeviceClocks:
         return kernels.shared(self._levels)
 
     def _run(self, name: str, which: th.Tensor, *arguments: Any) -> None:
-        grid = kernels.grid(self._count, kernels.FLYING_THREADS)
-        getattr(self._view.kernels, name)[grid](kernels.shared(which), arguments)
+        kernels.in_each_lane(getattr(self._view.kernels, name), which, *arguments)

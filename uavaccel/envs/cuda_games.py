@@ -167,8 +167,7 @@ class Dealt(LaneGames):
         return idle
 
     def _deal(self, idle: th.Tensor) -> None:
-        grid = kernels.grid(self.count, kernels.FLYING_THREADS)
-        self._kernels.deal[grid](kernels.shared(idle), (self._distribution, self._deals, self.arrays))
+        kernels.in_each_lane(self._kernels.deal, idle, self._distribution, self._deals, self.arrays)
 
     def found(self, lane: int, label: int) -> Drawn:
         """Return a lane's game as it was sampled, by its label."""

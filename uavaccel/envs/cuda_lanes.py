@@ -144,7 +144,8 @@ class CudaLanes:
         """Begin the next games of lanes that are `idle` (L,) bool, where there are some."""
         renewed = self.games.begin(idle, self._rows)
         self._renewed.copy_(renewed.byte())
-        self._launch(self.kernels.begin, self._renewed, kernels.shared(self._rows), self.games.arrays, self._now_arrays)
+        rows = kernels.shared(self._rows)
+        kernels.in_each_lane(self.kernels.begin, self._renewed, rows, self.games.arrays, self._now_arrays)
         starts = select(self.games.starts, self._rows)
         if self.games.starts.keys() != self.running.course.keys():
             self.running = self.running._replace(course=mapped(th.clone, starts))
@@ -230,16 +231,16 @@ class CudaLanes:
         self._advance(self.going, self._gap_ticks)
         if start_speed is not None:
             flights = self._before_arrays, start_speed, self.games.arrays, self._now_arrays
-            self._launch(self.kernels.resume, self.going, *flights)
+            kernels.in_each_lane(self.kernels.resume, self.going, *flights)
 
     def _begin_to_act(self) -> None:
         """Let the commands' goals act; only a gap lets position hold take over after them."""
         goals = kernels.shared(self._goals), kernels.shared(self._modes), self._now_arrays
         if not self._mediated:
-            self._launch(self.kernels.command, self.going, *goals)
+            kernels.in_each_lane(self.kernels.command, self.going, *goals)
             return
         self._advance(self.going, self._late_ticks)
-        self._launch(self.kernels.take, self.going, self._hold_ticks, *goals)
+        kernels.in_each_lane(self.kernels.take, self.going, self._hold_ticks, *goals)
 
     def _fly_recording_events(self, sample: int, every: int) -> None:
         """Fly to a sample with an event camera that records a frame `every` so many ticks."""
@@ -272,10 +273,6 @@ class CudaLanes:
         flown = kernels.shared(ticks), self.games.arrays, self._now_arrays, self.view.hull, self._threads
         grid = kernels.grid(self.count * self._threads, kernels.FLYING_THREADS)
         self.kernels.fly[grid](kernels.shared(which), *flown)
-
-    def _launch(self, kernel: Any, which: th.Tensor, *arguments: Any) -> None:
-        """Launch a kernel with one thread per lane (kernels/lane_clocks.LAUNCHED)."""
-        kernel[kernels.grid(self.count, kernels.FLYING_THREADS)](kernels.shared(which), arguments)
 
     # --- after it ---------------------------------------------------------------------------------
 

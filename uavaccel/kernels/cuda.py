@@ -272,6 +272,11 @@ def grid(threads: int, per_block: int) -> tuple[int, int, Any]:
     return -(-threads // per_block), per_block, cuda.external_stream(th.cuda.current_stream().cuda_stream)
 
 
+def in_each_lane(kernel: Any, which: th.Tensor, *arguments: Any) -> None:
+    """Launch a kernel with one thread per lane (kernels/lane_clocks.LAUNCHED) for those in `which` (L,) uint8."""
+    kernel[grid(len(which), FLYING_THREADS)](shared(which), arguments)
+
+
 class SideStream:
     """A CUDA stream beside PyTorch's current one, for work that runs concurrently until it is joined."""
 
