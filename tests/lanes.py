@@ -74,6 +74,7 @@ class SideBySide:
     def reset(self, seed: int | None = None, options: Any = None) -> Any:
         """Begin games everywhere; the batch's observations."""
         seen, _ = self.batch.reset(seed=seed, options=options)
+        assert self.batch.observation_space.contains(seen)
         for lane, environment in enumerate(self.alone):
             begun = environment.reset(seed=None if seed is None else seed + lane, options=options)
             self._same(select(seen, lane), begun[0])
@@ -90,6 +91,7 @@ class SideBySide:
         which = range(self.batch.num_envs) if lanes is None else lanes
         self.batch.step_async(actions[list(which)], lanes)
         flown = self.batch.step_wait(lanes)
+        assert lanes is not None or self.batch.observation_space.contains(flown[0])
         for place, lane in enumerate(which):
             if lane < len(self.alone):
                 self._compare(lane, actions[lane], select(flown[0], place), *(part[place] for part in flown[1:]))
