@@ -24,7 +24,7 @@ from tests.lanes import SideBySide, assert_same, stored
 from tests.own_tasks import Post, Resting, Spin
 from uavaccel.envs import kernel_games
 from uavaccel.envs.arrays import mapped, select
-from uavaccel.envs.flight_env import FlightEnv
+from uavaccel.envs.flight_env import FlightEnv, environment_of
 from uavaccel.envs.gates import Gates
 from uavaccel.envs.hover import Hover
 from uavaccel.envs.kernel_batch import KernelBatch
@@ -35,6 +35,7 @@ from uavaccel.errors import UserError
 from uavaccel.kernels import timeline as wire
 from uavaccel.kernels.appearance import empty_scenes, fill_scenes, read_appearance
 from uavaccel.kernels.pictures import render_lanes
+from uavaccel.kinematics import BodyRatesGoal, VelocityGoal
 from uavaccel.resources import asset
 from uavaccel.sim.camera import gl
 from uavaccel.sim.world import World
@@ -616,3 +617,45 @@ def own_task_of_the_page() -> Any:
 def test_the_task_of_the_page_is_the_same_in_all_simulators() -> None:
     keys: Keys = {"max_commands": 8, "t_move_s": 0.4}
     assert len(fly_everywhere(Case(own_task_of_the_page(), keys, 3, 25, 0.3, 0.0))) >= 4
+
+
+def two_kinds(task: Any, action: Any) -> Any:
+    """A velocity for the two actions of which a batch is made, and body rates for others."""
+    return Post.task_class.goal(task, action) if np.shape(action)[1:] == (2,) else BodyRatesGoal(0.0, 0.0, 0.0, 0.5)
+
+
+@pytest.mark.parametrize(
+    ("name", "function", "said"),
+    [
+        (
+            "advance",
+            lambda _, before, now: {"low": True},
+            "its course must have the items that sample gives it: post_m",
+        ),
+        (
+            "advance",
+            lambda _, before, now: {**now.course, "new": 1},
+            "its course must have the items that sample gives",
+        ),
+        ("advance", lambda _, before, now: {**now.course, "turns": 0.5}, "is float64, and was sampled as int64"),
+        ("advance", lambda _, before, now: {**now.course, "low": now.commands}, "is int64, and was sampled as bool"),
+        ("reward", lambda _, before, now: float(now.position_m[0] > 0), "must compute with plain arithmetic"),
+        ("reward", lambda _, before, now: 0.0 * now.commands + np.nan, "returned nan: must be a finite number"),
+        ("failure", lambda _, now: now.touched or now.commands > 3, "must compute with plain arithmetic"),
+        ("success", lambda _, now: not now.touched, "must compute with plain arithmetic"),
+        ("info", lambda _, now: {"far": int(now.commands)}, "must compute with plain arithmetic"),
+        ("features", lambda _, state, course: [[state.position_m[0] + np.nan]], "returned a number that is not finite"),
+        ("goal", two_kinds, "all actions must ask for the same kind of goal"),
+        ("goal", lambda _, action: VelocityGoal(tuple(action[:3] + np.inf)), "returned a number that is not finite"),
+    ],
+)
+def test_what_cannot_be_computed_over_arrays_is_named(name: str, function: Any, said: str) -> None:
+    task: Any = type("Mine", (Post.task_class,), {name: function, "__module__": __name__})
+    with pytest.raises(UserError, match=rf"Mine\.{name}.*{re.escape(said)}"):
+        fly_a_command(task)
+
+
+def fly_a_command(task: Any) -> None:
+    with closing(KernelBatch(environment_of(task), 3, threads=1)) as batch:
+        batch.reset(seed=0)
+        batch.step(np.zeros((3, 4), np.float32))

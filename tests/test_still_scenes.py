@@ -275,6 +275,10 @@ LOOKS = """<visual><headlight active="0"/><map znear="0.01"/></visual><statistic
         ('name="front_center"', 'name="front"', "a fixed camera of the drone"),
         ("<camera", '<camera mode="track"', "a fixed camera of the drone"),
         ("<camera", '<camera projection="orthographic"', "a fixed camera of the drone"),
+        ('active="0"', 'active="1"', "without a headlight"),
+        (' specular="0 0 0"', "", "without gloss"),
+        ('name="paint"', 'name="paint" reflectance="0.3"', "without gloss"),
+        ('directional="true" ', "", "one directional light"),
         ('fovy="58.7155"', 'sensorsize="1 1" focal="1 1" resolution="1 1"', "a fixed camera of the drone"),
     ],
 )
@@ -294,6 +298,8 @@ def test_a_sun_in_a_turned_body_shines_from_there() -> None:
     expected = np.zeros(3)
     mujoco.mju_rotVecQuat(expected, model.light_dir[0], model.body_quat[model.light_bodyid[0]])
     np.testing.assert_allclose(light[6:], -expected, atol=1e-6)
+    with pytest.raises(UserError, match="a sun that stands still"):
+        read_looks(own_world(POST, DRONE.replace("<camera", SUN + "<camera"), LOOKS), (64, 36), depth=False)
 
 
 def test_what_its_material_makes_invisible_is_not_seen() -> None:
