@@ -205,7 +205,9 @@ train --resume
 train own.yaml --seeds 5 --jobs 2 --clock 5 --command tcsc --watch {ON_ALL}
 evaluate straight --clock 5 --command tcsc --jobs 6 --engine dask --against other --no-films {ON_ALL}
 evaluate --resume
+evaluate run --resume
 evaluate own.yaml
+evaluate own.yml --against other
 evaluate straight --sweep wind=0,3 --sweep light=1 --games 2 --timing virtual --set task.speed_m_s=2
 watch default --film f.mp4
 watch run --case a --film f.mp4
