@@ -175,3 +175,17 @@ def test_pictures_are_nearly_those_of_opengl(kind: str, size: tuple[int, int], m
             ours, theirs = batch.step(given)[0], alone.step(given[0])[0]
     alone.close()
     assert np.mean(apart) <= share
+
+
+def test_a_games_first_picture_is_its_own_whichever_games_begin_with_it() -> None:
+    keys: Any = {"clutter": {"shapes": 250}, "observation": "depth", "picture_size": [32, 20], "threads": 1}
+    with (
+        closing(KernelBatch(Navigate, 3, autoreset_mode="Disabled", **keys)) as batch,
+        closing(KernelBatch(Navigate, 1, **keys)) as alone,
+    ):
+        before, _ = batch.reset(seed=3)
+        seen, _ = batch.reset(seed=[7, 8, 9], options={"reset_mask": np.array([False, True, True])})
+        expected = [before[0], *(alone.reset(seed=seed)[0][0] for seed in (8, 9))]
+        for lane, picture in enumerate(expected):
+            np.testing.assert_array_equal(seen[lane], picture)
+        assert len({picture.tobytes() for picture in expected}) == 3
