@@ -81,6 +81,13 @@ class SideBySide:
         self._over = [False] * len(self.alone)
         return seen
 
+    def reset_one(self, lane: int) -> None:
+        """Begin a lane's game, while the others' go on."""
+        seen, _ = self.batch.reset(options={"reset_mask": np.arange(self.batch.num_envs) == lane})
+        for environment in self.alone[lane : lane + 1]:
+            self._same(select(seen, lane), environment.reset()[0])
+            self._over[lane] = False
+
     def charge(self, spent_s: float, phase: str = "inference") -> None:
         self.batch.call_each("charge", [(spent_s, phase)] * self.batch.num_envs)
         for environment in self.alone:

@@ -56,8 +56,8 @@ class Case(NamedTuple):
     noise: float
     work_s: float
     events: tuple[str, ...] = ()
-    """Before the commands from the third on games are moved to other engines, or begin anew: in turn, by a seed or by
-    options."""
+    """Before the commands from the third on games are moved to other engines, or begin anew: one of them where that can
+    be, or all in turn, by a seed or by options."""
     next_step: bool = False
     """Whether a game that is over begins anew with the next command; a GPU's batch does not have this."""
 
@@ -217,7 +217,7 @@ def worlds(draw: st.DrawFn) -> Case:
     return Case(Navigate, keys, draw(st.integers(0, 2**16)), 6, 0.6, 0.0, draw(EVENTS))
 
 
-EVENTS = st.lists(st.sampled_from(["", "move", "in turn", "seed", "options"]), max_size=3).map(tuple)
+EVENTS = st.lists(st.sampled_from(["", "move", "one", "in turn", "seed", "options"]), max_size=3).map(tuple)
 
 
 def work() -> st.SearchStrategy[float]:
@@ -336,6 +336,8 @@ def fly_everywhere(case: Case) -> list[Any]:
             event = dict(enumerate(case.events, 2)).get(number, "")
             if event == "move":
                 engines.move()
+            elif event == "one" and not engines.device:
+                engines.lanes.reset_one(LANES - 1)
             elif event:
                 options = OPTIONS.get(case.kind) if event == "options" and "lane" not in case.keys else None
                 engines.reset(case.seed + 1 if event == "seed" else None, options)
