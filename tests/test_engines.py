@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext
 from functools import partial
 from pathlib import Path
@@ -55,32 +54,6 @@ def test_results_come_in_order_though_handed_out_in_parts(monkeypatch: pytest.Mo
     monkeypatch.setattr(ThreadingBackend, "configure", noted)
     results: list[Any] = list(in_parallel("ray", 2, 2, (delayed(int)(number) for number in range(23))))
     assert (results, started) == (list(range(23)), [2])
-
-
-def test_a_worker_opens_once_for_each_run_and_timing(monkeypatch: pytest.MonkeyPatch) -> None:
-    """And closes them with the run."""
-    log: list[tuple[str, Path, str]] = []
-
-    @contextmanager
-    def opened(config: Any, timing: str, run: Path) -> Iterator[tuple[Path, str]]:
-        log.append(("opened", run, timing))
-        yield run, timing
-        log.append(("closed", run, timing))
-
-    stand_ins: dict[str, Any] = {
-        "_OPENED": {}, "RunDirectory": Path, "suite_of": lambda run: SimpleNamespace(open=opened),
-        "work_for_parent": int, "atexit": SimpleNamespace(register=lambda *_: None),
-        "fly_case": lambda suite, config, case, opened: opened,
-    }  # fmt: skip
-    for name, value in stand_ins.items():
-        monkeypatch.setattr(runner, name, value)
-    monkeypatch.setenv("LP_NUM_THREADS", "0")  # which a worker sets
-    wanted = [(Path("/a"), "virtual"), (Path("/a"), "lockstep"), (Path("/b"), "virtual")]
-    for folder, timing in wanted * 2:
-        case: Any = SimpleNamespace(timing=timing)
-        assert runner._fly_in_worker(None, case, folder, None) == (folder, timing)  # type: ignore[arg-type, comparison-overlap]
-    runner._leave_in_worker("/a")
-    assert log == [("opened", *each) for each in wanted] + [("closed", *each) for each in wanted[:2]]
 
 
 @pytest.mark.usefixtures("threads_as_ray")
