@@ -1,4 +1,4 @@
-"""Scenes of shapes of every kind, turned anyhow, as MJCF."""
+"""Scenes of shapes of every kind, most turned anyhow, as MJCF."""
 
 from __future__ import annotations
 
@@ -28,6 +28,8 @@ def clutter(seed: int, kinds: Sequence[str] = KINDS, count: int = 60, size_m: fl
         if np.linalg.norm(place[:2]) < 2.5 + size_m:
             place[:2] *= (2.5 + size_m) / np.linalg.norm(place[:2])
         turn = random.normal(size=4)
+        if number % 3 == 0:  # upright, and every other one along the axes
+            turn[1:] *= (0.0, 0.0, number % 2)
         sizes = random.uniform(0.2, 1.0, 3) * size_m
         if kind in ("plane", "hfield"):
             left.remove(kind)

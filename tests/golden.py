@@ -126,18 +126,18 @@ def _tree(summary: Mapping[str, Any]) -> Iterator[str]:
     for key, value in summary.items():
         entries = value if _is_list(value) and any(isinstance(each, Mapping) for each in value) else [value]
         for entry in entries:
-            yield textwrap.fill(f"{key}: {_plain(entry)}", 118, subsequent_indent="    ", break_long_words=False)
+            yield textwrap.fill(f"{key}: {plain(entry)}", 118, subsequent_indent="    ", break_long_words=False)
 
 
 def _is_list(value: Any) -> bool:
     return isinstance(value, Sequence) and not isinstance(value, str)
 
 
-def _plain(value: Any) -> str:
+def plain(value: Any) -> str:
     if isinstance(value, Mapping):
-        return f"{{{', '.join(f'{key} {_plain(each)}' for key, each in value.items())}}}"
+        return f"{{{', '.join(f'{key} {plain(each)}' for key, each in value.items())}}}"
     if isinstance(value, bool | np.bool_ | str) or value is None:
         return str(value)
     if _is_list(value):
-        return f"[{', '.join(map(_plain, value))}]"
+        return f"[{', '.join(map(plain, value))}]"
     return _number(float(value)) if isinstance(value, int | float | np.number) else str(value)

@@ -74,11 +74,19 @@ class SideBySide:
     def reset(self, seed: int | None = None, options: Any = None) -> Any:
         """Begin games everywhere; the batch's observations."""
         seen, _ = self.batch.reset(seed=seed, options=options)
+        assert self.batch.observation_space.contains(seen)
         for lane, environment in enumerate(self.alone):
             begun = environment.reset(seed=None if seed is None else seed + lane, options=options)
             self._same(select(seen, lane), begun[0])
         self._over = [False] * len(self.alone)
         return seen
+
+    def reset_one(self, lane: int) -> None:
+        """Begin a lane's game, while the others' go on."""
+        seen, _ = self.batch.reset(options={"reset_mask": np.arange(self.batch.num_envs) == lane})
+        for environment in self.alone[lane : lane + 1]:
+            self._same(select(seen, lane), environment.reset()[0])
+            self._over[lane] = False
 
     def charge(self, spent_s: float, phase: str = "inference") -> None:
         self.batch.call_each("charge", [(spent_s, phase)] * self.batch.num_envs)
@@ -90,6 +98,7 @@ class SideBySide:
         which = range(self.batch.num_envs) if lanes is None else lanes
         self.batch.step_async(actions[list(which)], lanes)
         flown = self.batch.step_wait(lanes)
+        assert lanes is not None or self.batch.observation_space.contains(flown[0])
         for place, lane in enumerate(which):
             if lane < len(self.alone):
                 self._compare(lane, actions[lane], select(flown[0], place), *(part[place] for part in flown[1:]))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -25,6 +25,7 @@ class PostTask(Task):
     climb_m_s: float = 1.0
     altitude_m: float = 1.0
     max_commands: int = 6
+    ends_at_touch: bool = True
 
     def action_space(self) -> spaces.Space[Action]:
         return spaces.Box(-1.0, 1.0, (4,), np.float32)
@@ -71,11 +72,14 @@ class PostTask(Task):
         return now.free & (now.position_m[0] > now.course["post_m"][0])
 
     def failure(self, now: AnyMoment) -> Number:
-        return now.touched | (now.course["turns"] > 3) | (abs(now.state.linear_acceleration_m_s2[0]) > 9.0)
+        lost = (now.course["turns"] > 3) | (abs(now.state.linear_acceleration_m_s2[0]) > 9.0)
+        return (now.touched & self.ends_at_touch) | lost
 
     def info(self, now: AnyMoment) -> Info:
         far_m = distance(now.course["post_m"], now.position_m)
-        return {"far_m": far_m, "speed_m_s": now.state.linear_velocity_m_s[0], **now.course}
+        parts = [getattr(now.state, field.name) for field in fields(now.state)[1:]]
+        state = [now.state.time_ns, *(number for part in parts for number in part)]
+        return {"far_m": far_m, "state": state, **now.course}
 
 
 class Post(FlightEnv[PostTask]):

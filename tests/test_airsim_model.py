@@ -316,6 +316,12 @@ def test_the_agents_share_is_that_of_the_papers_two_differences() -> None:
     share = paper_results.thinking_share()
     assert alone == pytest.approx([0.1 / 2.6, 0.1875 / 4.2])
     assert alone[0] < share < alone[1]
+
+    def misfit(at: float) -> float:
+        wholes = {k: (1 + at) / (1 / paper_results.SIMULATION_SPEEDUP[k] + at) for k in PAPERS_WHOLE_SPEEDUPS}
+        return sum((wholes[k] - whole) ** 2 for k, whole in PAPERS_WHOLE_SPEEDUPS.items())
+
+    assert misfit(share) < min(misfit(share - 1e-5), misfit(share + 1e-5))
     for k, whole in PAPERS_WHOLE_SPEEDUPS.items():
         assert (1 + share) / (1 / simulation[k] + share) == pytest.approx(whole, rel=0.02)
         simulated_h, beside_h = paper_results.phase_hours(k)

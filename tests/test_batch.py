@@ -90,6 +90,8 @@ def test_gymnasium_makes_batches() -> None:
         batch.set_attr("mark", ["first", "second"])
         batch.set_attr("same", 5)
         assert (batch.get_attr("mark"), batch.get_attr("same")) == (("first", "second"), (5, 5))
+        with pytest.raises(AttributeError, match=r"has no attribute .nothing.$"):
+            batch.call("nothing")
         with pytest.raises(UserError, match="set_attr: 1 values for 2 environments"):
             batch.set_attr("mark", ["first"])
         for _ in range(2):

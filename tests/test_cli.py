@@ -131,6 +131,12 @@ def test_what_is_complained_of_to_nobody_is_not_printed_elsewhere() -> None:
         ("train --set task.history=2 --clock 2 --set task.t_move_s=1.001",
          "--set: t_move_s: 1.001 s is not a positive multiple of the physics step of 2 ms; 1 and 1.002 s are"),
         ("run dp1 --set clock_speed.0=5", "--set: clock_speed = [5, 5, 10, 50, 100]: has 5 twice"),
+        ("run train --clock 5 --clock 10 --dry-run", "--clock: train takes one value, not 2"),
+        ("run dp1 dp2", "run: flies one experiment, not 2: dp1, dp2"),
+        ("watch run --film f.avi", "--film f.avi: must end in .mp4"),
+        ("watch --film f.mp4",
+         "--film: name what to film: a run, or a policy, as in uavaccel watch default --film FILE"),
+        ("init", "init: name a new or an empty folder"),
         ("run --report runs/a --jobs 1 --set a=1",
          "--report: flies nothing; beside run directories it takes --trust alone, not --jobs"),
     ],
@@ -205,7 +211,9 @@ train --resume
 train own.yaml --seeds 5 --jobs 2 --clock 5 --command tcsc --watch {ON_ALL}
 evaluate straight --clock 5 --command tcsc --jobs 6 --engine dask --against other --no-films {ON_ALL}
 evaluate --resume
+evaluate run --resume
 evaluate own.yaml
+evaluate own.yml --against other
 evaluate straight --sweep wind=0,3 --sweep light=1 --games 2 --timing virtual --set task.speed_m_s=2
 watch default --film f.mp4
 watch run --case a --film f.mp4

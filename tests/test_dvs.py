@@ -184,6 +184,8 @@ def test_frames_far_apart_leave_no_events_to_suppress(spacing_s: float, can: boo
     parameters = replace(dvs.PRESETS["command_line"], cutoff_hz=0.0, leak_rate_hz=20.0, hot_share=0.2)
     sensor = dvs.make_sensor(parameters, (144, 256), seed=0)
     assert dvs.can_suppress(sensor, spacing_s) == can
+    for name in ("positive_threshold", "negative_threshold"):  # of which the lower one decides
+        assert dvs.can_suppress(sensor._replace(**{name: 8.0 * getattr(sensor, name)}), spacing_s) == can
     assert not dvs.can_suppress(sensor._replace(parameters=replace(parameters, refractory_s=0.0)), spacing_s)
     state, suppressed = dvs.init_state(sensor, np.zeros((144, 256), np.uint8)), False
     for number in range(1, 7):

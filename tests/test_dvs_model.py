@@ -200,6 +200,9 @@ def test_noise_depends_on_the_seed_and_not_on_the_sensors(seed: int) -> None:
 
     np.testing.assert_array_equal(step(seed, 5), step(seed + 1, 5))
     assert (step(seed, 5) != step(seed, 6)).any()
+    images, times_ns = np.stack([grey(9)] * 3), np.array([0, 300_000_000, 600_000_000])
+    on, _ = count_events(images, times_ns, parameters, seed)  # whose noise is of the sensor's seed
+    np.testing.assert_array_equal(on[2], step(seed + 1, seed))
 
 
 # --- faster than the samples ------------------------------------------------------------------------------------------

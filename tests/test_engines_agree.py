@@ -24,7 +24,7 @@ from tests.lanes import SideBySide, assert_same, stored
 from tests.own_tasks import Post, Resting, Spin
 from uavaccel.envs import kernel_games
 from uavaccel.envs.arrays import mapped, select
-from uavaccel.envs.flight_env import FlightEnv
+from uavaccel.envs.flight_env import FlightEnv, environment_of
 from uavaccel.envs.gates import Gates
 from uavaccel.envs.hover import Hover
 from uavaccel.envs.kernel_batch import KernelBatch
@@ -35,6 +35,7 @@ from uavaccel.errors import UserError
 from uavaccel.kernels import timeline as wire
 from uavaccel.kernels.appearance import empty_scenes, fill_scenes, read_appearance
 from uavaccel.kernels.pictures import render_lanes
+from uavaccel.kinematics import BodyRatesGoal, VelocityGoal
 from uavaccel.resources import asset
 from uavaccel.sim.camera import gl
 from uavaccel.sim.world import World
@@ -55,8 +56,8 @@ class Case(NamedTuple):
     noise: float
     work_s: float
     events: tuple[str, ...] = ()
-    """Before the commands from the third on games are moved to other engines, or begin anew: in turn, by a seed or by
-    options."""
+    """Before the commands from the third on games are moved to other engines, or begin anew: one of them where that can
+    be, or all in turn, by a seed or by options."""
     next_step: bool = False
     """Whether a game that is over begins anew with the next command; a GPU's batch does not have this."""
 
@@ -178,7 +179,7 @@ def cases(draw: st.DrawFn) -> Case:
         Hover: [HOVERS, CONTINUOUS],
         Gates: [GATES, CONTINUOUS],
         ObstacleLane: [FLIGHTS, COMMANDED, st.one_of(RANDOMISED, st.just(PLACED)), st.just({"observation": "state"})],
-        Post: [COMMANDED],
+        Post: [COMMANDED, st.fixed_dictionaries({"ends_at_touch": st.booleans()})],
         Spin: [LOW_LEVEL],
         Navigate: [st.just({**WORLDS, "observation": "state"}), CONTINUOUS],
     }
@@ -216,7 +217,7 @@ def worlds(draw: st.DrawFn) -> Case:
     return Case(Navigate, keys, draw(st.integers(0, 2**16)), 6, 0.6, 0.0, draw(EVENTS))
 
 
-EVENTS = st.lists(st.sampled_from(["", "move", "in turn", "seed", "options"]), max_size=3).map(tuple)
+EVENTS = st.lists(st.sampled_from(["", "move", "one", "in turn", "seed", "options"]), max_size=3).map(tuple)
 
 
 def work() -> st.SearchStrategy[float]:
@@ -335,6 +336,8 @@ def fly_everywhere(case: Case) -> list[Any]:
             event = dict(enumerate(case.events, 2)).get(number, "")
             if event == "move":
                 engines.move()
+            elif event == "one" and not engines.device:
+                engines.lanes.reset_one(LANES - 1)
             elif event:
                 options = OPTIONS.get(case.kind) if event == "options" and "lane" not in case.keys else None
                 engines.reset(case.seed + 1 if event == "seed" else None, options)
@@ -356,11 +359,9 @@ def compare_batch(device: Any, flown: Any, steps: Any) -> None:
     for mask in ("_final_obs", "_final_info"):
         np.testing.assert_array_equal(infos[mask].cpu(), over)
     for lane in range(LANES):
+        for name in ("position_m", "commands"):  # of the next game where one has ended
+            assert_close(infos[name][lane].tolist(), steps[4][lane][name])
         if not over[lane]:
-            np.testing.assert_allclose(
-                infos["position_m"][lane].cpu(), steps[4][lane]["position_m"], rtol=0, atol=1e-12
-            )
-            assert infos["commands"][lane] == steps[4][lane]["commands"]
             continue
         mapped(assert_seen, select(infos["final_obs"], lane), steps[4][lane]["final_obs"])
         found, expected = one_lane(infos["final_info"], lane), dict(steps[4][lane]["final_info"])
@@ -372,6 +373,7 @@ def compare_batch(device: Any, flown: Any, steps: Any) -> None:
 def pictures_alike(ours: Any, theirs: Any) -> None:
     """To the bit, but for OpenCV's way to round halves where it reduces pictures."""
     assert np.abs(ours.astype(int) - theirs).max() <= 1
+    assert np.mean(ours != theirs) < 0.05
 
 
 def assert_seen(ours: Any, theirs: Any) -> None:
@@ -454,12 +456,39 @@ HOLD_TO_COME: Keys = {
 }
 """Position hold sets in between the end of a gap, whose motion is undone, and the command that comes late."""
 
+QUICK: Keys = {
+    "quantiles": [0.0, 1.0],
+    **{name: {"call": [40.0, 40.0]} for name in ("request_us", "reply_us")},
+    **{name: [0.0, 0.0] for name in ("issue_us", "timer_us")},
+}
+GOES_ON: Keys = {
+    "ends_at_touch": False,
+    "timing": "virtual",
+    "command": "adsc",
+    "clock_speed": 3.0,
+    "latency": QUICK,
+    "t_move_s": 0.5,
+    "t_sample_s": 0.2,
+    "max_commands": 8,
+}
+"""A vehicle that has touched something is given commands while time passes."""
+STANDS_IN_THE_GAP: Keys = {
+    "ends_at_touch": False,
+    "mediation": {"gap_s": 0.3, "image_age_s": 0.0, "start_speed": 0.4},
+    "t_move_s": 0.5,
+    "t_sample_s": 0.2,
+    "max_commands": 8,
+}
+"""Nor does the end of a gap, whose motion is undone, let it go on."""
+
 FIXTURES = settings(suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow], deadline=None)
 
 
 @pytest.mark.slow
-@settings(FIXTURES, max_examples=16)
+@settings(FIXTURES, max_examples=13)
 @example(Case(ObstacleLane, {**HOLD_TO_COME, "observation": "state"}, seed=0, commands=3, noise=0.5, work_s=0.0))
+@example(Case(Post, GOES_ON, seed=1, commands=9, noise=0.1, work_s=0.7, events=("", "", "", "", "move")))
+@example(Case(Post, STANDS_IN_THE_GAP, seed=1, commands=9, noise=0.1, work_s=0.0, events=("", "", "", "", "move")))
 @given(cases())
 @pytest.mark.usefixtures("a_gpu")
 def test_games_are_the_same_in_all_simulators(case: Case) -> None:
@@ -478,11 +507,7 @@ HIT_BETWEEN_FRAMES: Keys = {
 OTHER_LIGHT: Keys = {
     "observation": "colour",
     "timing": "virtual",
-    "latency": {
-        "quantiles": [0.0, 1.0],
-        **{name: {"call": [40.0, 40.0]} for name in ("request_us", "reply_us")},
-        **{name: [0.0, 0.0] for name in ("issue_us", "timer_us")},
-    },
+    "latency": QUICK,
     "difficulty": {"light": [0.03, 1.0]},
     "t_move_s": 0.3,
     "t_sample_s": 0.3,
@@ -491,13 +516,27 @@ OTHER_LIGHT: Keys = {
 """A game's first image is not requested again because the last game's was darker."""
 COMES_NEAR: Keys = {
     "timing": "virtual",
-    "latency": OTHER_LIGHT["latency"] | {"request_us": {"call": [40.0, 40.0], "image": [9000.0, 9000.0]}},
+    "latency": QUICK | {"request_us": {"call": [40.0, 40.0], "image": [9000.0, 9000.0]}},
     "lane": {"obstacles": [{"x_m": 3.5, "y_m": 0.0, "half_side_m": 1.0}]},
     "t_move_s": 0.6,
     "t_sample_s": 0.3,
     "speed_m_s": 4.0,
 }
 """The event camera's picture becomes darker from sample to sample, and is requested again."""
+STANDS_BETWEEN_FRAMES: Keys = {
+    "observation": "colour",
+    "knows": ["last_action", "frame_age"],
+    "timing": "virtual",
+    "profile": "airsim",
+    "clock_speed": 3.0,
+    "image_processing_s": 0.05,
+    "latency": QUICK | {"platform": {"frames": {"hz": 60.0, "stale_pose": True}}},
+    "t_move_s": 0.36,
+    "t_sample_s": 0.12,
+    "speed_m_s": 6.0,
+    "max_commands": 3,
+}
+"""Images show the pose of Unreal's last frame, and are as old to the agent as TCSC's clock says, which stands."""
 OTHER_NOISE: Keys = {
     "randomise": {"image_noise": [2, 9], "dvs_leak_hz": [5, 50], "share": 0.4},
     "t_move_s": 0.3,
@@ -508,9 +547,10 @@ OTHER_NOISE: Keys = {
 
 
 @pytest.mark.slow
-@settings(FIXTURES, max_examples=7)
+@settings(FIXTURES, max_examples=6)
 @example(Case(ObstacleLane, HIT_BETWEEN_FRAMES, seed=0, commands=5, noise=0.0, work_s=0.0))
 @example(Case(ObstacleLane, OTHER_LIGHT, seed=0, commands=5, noise=0.5, work_s=0.0))
+@example(Case(ObstacleLane, STANDS_BETWEEN_FRAMES, seed=0, commands=3, noise=0.0, work_s=0.0))
 @example(Case(ObstacleLane, OTHER_NOISE, seed=0, commands=5, noise=0.5, work_s=0.0))
 @example(Case(ObstacleLane, COMES_NEAR, seed=0, commands=4, noise=0.0, work_s=0.0))
 @given(seen_cases())
@@ -595,3 +635,45 @@ def own_task_of_the_page() -> Any:
 def test_the_task_of_the_page_is_the_same_in_all_simulators() -> None:
     keys: Keys = {"max_commands": 8, "t_move_s": 0.4}
     assert len(fly_everywhere(Case(own_task_of_the_page(), keys, 3, 25, 0.3, 0.0))) >= 4
+
+
+def two_kinds(task: Any, action: Any) -> Any:
+    """A velocity for the two actions of which a batch is made, and body rates for others."""
+    return Post.task_class.goal(task, action) if np.shape(action)[1:] == (2,) else BodyRatesGoal(0.0, 0.0, 0.0, 0.5)
+
+
+@pytest.mark.parametrize(
+    ("name", "function", "said"),
+    [
+        (
+            "advance",
+            lambda _, before, now: {"low": True},
+            "its course must have the items that sample gives it: post_m",
+        ),
+        (
+            "advance",
+            lambda _, before, now: {**now.course, "new": 1},
+            "its course must have the items that sample gives",
+        ),
+        ("advance", lambda _, before, now: {**now.course, "turns": 0.5}, "is float64, and was sampled as int64"),
+        ("advance", lambda _, before, now: {**now.course, "low": now.commands}, "is int64, and was sampled as bool"),
+        ("reward", lambda _, before, now: float(now.position_m[0] > 0), "must compute with plain arithmetic"),
+        ("reward", lambda _, before, now: 0.0 * now.commands + np.nan, "returned nan: must be a finite number"),
+        ("failure", lambda _, now: now.touched or now.commands > 3, "must compute with plain arithmetic"),
+        ("success", lambda _, now: not now.touched, "must compute with plain arithmetic"),
+        ("info", lambda _, now: {"far": int(now.commands)}, "must compute with plain arithmetic"),
+        ("features", lambda _, state, course: [[state.position_m[0] + np.nan]], "returned a number that is not finite"),
+        ("goal", two_kinds, "all actions must ask for the same kind of goal"),
+        ("goal", lambda _, action: VelocityGoal(tuple(action[:3] + np.inf)), "returned a number that is not finite"),
+    ],
+)
+def test_what_cannot_be_computed_over_arrays_is_named(name: str, function: Any, said: str) -> None:
+    task: Any = type("Mine", (Post.task_class,), {name: function, "__module__": __name__})
+    with pytest.raises(UserError, match=rf"Mine\.{name}.*{re.escape(said)}"):
+        fly_a_command(task)
+
+
+def fly_a_command(task: Any) -> None:
+    with closing(KernelBatch(environment_of(task), 3, threads=1)) as batch:
+        batch.reset(seed=0)
+        batch.step(np.zeros((3, 4), np.float32))

@@ -7,6 +7,7 @@ import hashlib
 import json
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import cv2
@@ -20,8 +21,9 @@ from tests.opengl import needs_opengl
 from tests.running import configured, fly_into
 from uavaccel.cli.flights import export
 from uavaccel.config import Config
+from uavaccel.envs.hover import HoverTask
 from uavaccel.errors import UsageError, UserError
-from uavaccel.export import NED_IN_ENU, OPTICAL_IN_BODY, TOPICS, entries, event_columns
+from uavaccel.export import NED_IN_ENU, OPTICAL_IN_BODY, TOPICS, _columns, entries, event_columns
 from uavaccel.files import file_sha256, to_json
 from uavaccel.records import RunDirectory, provenance_of
 from uavaccel.suites.dp1 import Dp1
@@ -325,6 +327,22 @@ def test_a_dataset_says_of_each_episode_and_of_itself_what_it_is(straight: RunDi
     assert told["uavaccel"]["timing"] == straight.config()["task"]["timing"]
     assert json.loads(told["action_space"]) == {"type": "Discrete", "dtype": "int64", "start": 0, "n": 5}
     assert json.loads(told["env_spec"])["kwargs"]["clock_speed"] == 20.0
+
+
+def test_an_episodes_arrays_are_of_the_environments_spaces() -> None:
+    task: Any = HoverTask()
+    seen = np.zeros(task.observation_space().shape, np.float32)
+    told = {"given": seen, "observation": seen, "reward": 1, "terminated": 0, "truncated": 1}
+    step: Any = SimpleNamespace(action=[0.1, 0.2, -0.3], **told)
+    config: Any = SimpleNamespace(task=task)
+    columns = _columns(config, [step, step])
+    assert all(action in task.action_space() for action in columns["actions"])
+    assert all(observation in task.observation_space() for observation in columns["observations"])
+    kinds = {name: (array.dtype.name, len(array)) for name, array in columns.items()}
+    assert kinds == {
+        "observations": ("float32", 3), "actions": ("float32", 2), "rewards": ("float64", 2),
+        "terminations": ("bool", 2), "truncations": ("bool", 2),
+    }  # fmt: skip
 
 
 @pytest.mark.slow

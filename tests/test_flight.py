@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from tests.running import configured
+from uavaccel.config import validate
 from uavaccel.draw import chase
 from uavaccel.draw.film import frames
 from uavaccel.errors import UserError
@@ -162,13 +163,16 @@ class Lane:
 
 
 @pytest.mark.parametrize("hit", [True, False])
-@pytest.mark.parametrize(("rate_hz", "ticks"), [(100.0, 5), (1e9, 1), (7.0, 71)])
+@pytest.mark.parametrize(
+    ("profile", "rate_hz", "ticks"),
+    [("native", 100.0, 5), ("native", 1e9, 1), ("native", 7.0, 71), ("airsim", 100.0, 3)],
+)
 def test_an_evaluations_times_are_since_the_start_of_its_game(
-    monkeypatch: pytest.MonkeyPatch, hit: bool, rate_hz: float, ticks: int
+    monkeypatch: pytest.MonkeyPatch, hit: bool, profile: str, rate_hz: float, ticks: int
 ) -> None:
     class Camera:
         def __init__(self, task: Any, every_ticks: int) -> None:
-            assert every_ticks == ticks  # of 2 ms
+            assert every_ticks == ticks  # of 2 ms, or AirSim's 3 ms
             rows = np.array([[0.05, 1, 1, 1], [0.06, 2, 1, -1], [1.25, 0, 0, 1]])
             self.events = SimpleNamespace(pop_events=lambda: rows)
 
@@ -178,7 +182,8 @@ def test_an_evaluations_times_are_since_the_start_of_its_game(
         ("fly_again", lambda run, config, lane, row: lane.fly()),
     ):  # fmt: skip
         monkeypatch.setattr(evaluate_again, name, value)
-    report: Any = SimpleNamespace(run=None, config=EvaluateConfig(agent="straight"))
+    config = validate(EvaluateConfig, {"agent": "straight", "task": {"profile": profile}}, "test")
+    report: Any = SimpleNamespace(run=None, config=config)
     flight = Evaluation().flight(report, {"lane": 5}, event_rate_hz=rate_hz)
     last_ms = 1300 if hit else 1320
     assert flight.title == f"lane 5, ADSC at 20x: {'hit a tree' if hit else 'ran out of commands'}"

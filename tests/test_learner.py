@@ -297,6 +297,7 @@ def test_the_target_network_follows_now_and_then(interval: int, every: int) -> N
     """Every so many commands, whatever the number of lanes, and at most once a step; in between it stays as it is."""
     learner, _ = learning(2, {"target_update_interval": interval, "learning_starts": 10**6}, games=10**6)
     online, target = learner.policy.q_net, learner.policy.q_net_target
+    assert np.array_equal(weights_of(online), weights_of(target))
     for steps in range(1, 17):
         with th.no_grad():
             for parameter in online.parameters():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from itertools import permutations
 from typing import Any
 
@@ -20,8 +21,11 @@ from uavaccel.metrics.intervals import (
     Proportion,
     bootstrap_interval,
     fisher_exact_p,
+    hierarchical_interval,
     mcnemar_exact,
     median_interval,
+    permutation_p,
+    sign_flip_p,
     speedup_interval,
     student_quantile,
 )
@@ -89,6 +93,39 @@ def test_bootstrap_repeats_by_seed_and_covers_the_mean() -> None:
     assert first == bootstrap_interval((values,), lambda v: v.mean(axis=-1), seed=1)
     half = 1.96 * values.std() / np.sqrt(200)
     assert first == pytest.approx((values.mean() - half, values.mean() + half), abs=0.02)
+
+
+NORMAL = np.random.default_rng(7).normal(size=400)
+NORMAL = (NORMAL - NORMAL.mean()) / NORMAL.std()
+
+
+@pytest.mark.parametrize(
+    ("sampled", "apart"),
+    [
+        (lambda seed: median_interval(NORMAL, seed), 0.05),
+        (lambda seed: hierarchical_interval([NORMAL[:20], NORMAL[20:50]], seed), 0.2),
+        (lambda seed: speedup_interval(NORMAL + 9.0, NORMAL[:50] + 9.0, seed), 0.05),
+        (lambda seed: (permutation_p(NORMAL[:9], NORMAL[9:22], seed), sign_flip_p(NORMAL[:20], seed)), 0.05),
+    ],
+)
+def test_what_is_sampled_follows_from_its_seed(
+    sampled: Callable[[int], Any], apart: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("uavaccel.metrics.intervals.MOST_EXACT", 5000)
+    assert sampled(1) == sampled(1) != sampled(2)
+    assert sampled(1) == pytest.approx(sampled(2), abs=apart)
+
+
+def test_intervals_of_many_games_are_those_of_normal_distributions() -> None:
+    """Seeds of few games and of many vary as their own numbers of games say; a ratio as both of its parts."""
+    few, many = NORMAL[:10] - NORMAL[:10].mean(), NORMAL
+    low, high = hierarchical_interval([few, many] * 12, seed=0)
+    variance = (few.var() / 10 + many.var() / 400) / 2 / 24
+    assert (low, high) == pytest.approx((-1.96 * np.sqrt(variance), 1.96 * np.sqrt(variance)), rel=0.1)
+    low, high = speedup_interval(NORMAL + 20.0, 0.5 * NORMAL[:100] + 5.0, seed=0)
+    cell = 0.5 * NORMAL[:100] + 5.0
+    ratio, share = 20.0 / cell.mean(), np.sqrt(1 / 20**2 / 400 + cell.var() / cell.mean() ** 2 / 100)
+    assert (low, high) == pytest.approx((ratio * (1 - 1.96 * share), ratio * (1 + 1.96 * share)), rel=0.005)
 
 
 def test_a_proportion_in_a_summary_and_in_words() -> None:

@@ -14,6 +14,8 @@ from uavaccel.envs.navigate import Navigate, NavigateTask
 from uavaccel.envs.values import AT_REST
 from uavaccel.kernels import fields
 from uavaccel.kernels import scene as in_scene
+from uavaccel.kernels.bodies import read_scene
+from uavaccel.kernels.clutter_games import put_clutter
 from uavaccel.rl.agents import reset_options
 from uavaccel.sim import clutter as at
 from uavaccel.sim.clutter import Clutter, sample_world
@@ -66,6 +68,17 @@ def test_mujoco_has_the_shapes_where_the_layout_has_them() -> None:
         assert (geom.xpos == row[at.X : at.Z + 1]).all()
         radii = row[[at.HALF_X] * 3] if row[at.KIND] == at.CAPSULE else row[at.HALF_X : at.HALF_Z + 1]
         assert world.model.geom_aabb[geom.id].tolist() == [0.0, 0.0, 0.0, *radii]
+    games = GameMaker(NavigateTask()).rows(1)
+    put_clutter(made.rows, games.solids, games.scenes, 0)
+    standing = np.flatnonzero(made.standing)
+    geoms = np.array([world.model.geom(f"clutter_{number:03}").id for number in standing])
+    read, put = read_scene(world.model, geoms=geoms), games.solids.shapes[0, -len(made.rows) :][standing]
+    of_geom = dict(zip(read.shapes[0, :, in_scene.GEOM].astype(int).tolist(), read.shapes[0], strict=True))
+    for geom, shape in zip(geoms.tolist(), put, strict=True):
+        wide, deep = shape[in_scene.HALF : in_scene.HALF + 2]
+        assert shape[in_scene.REACH] > (np.hypot(wide, deep) if shape[in_scene.KIND] == at.BOX else max(wide, deep))
+        for part in (in_scene.KIND, in_scene.BOUND, slice(in_scene.CENTRE, in_scene.RGB)):
+            np.testing.assert_allclose(shape[part], of_geom[geom][part], atol=1e-9)
     row = made.rows[made.standing & (made.rows[:, at.KIND] == at.CYLINDER)][0]
     hit = np.zeros(1, np.int32)
     start = row[[at.X, at.Y]] - (3.0, 0.0)
@@ -175,3 +188,17 @@ def test_pictures_are_nearly_those_of_opengl(kind: str, size: tuple[int, int], m
             ours, theirs = batch.step(given)[0], alone.step(given[0])[0]
     alone.close()
     assert np.mean(apart) <= share
+
+
+def test_a_games_first_picture_is_its_own_whichever_games_begin_with_it() -> None:
+    keys: Any = {"clutter": {"shapes": 250}, "observation": "depth", "picture_size": [32, 20], "threads": 1}
+    with (
+        closing(KernelBatch(Navigate, 3, autoreset_mode="Disabled", **keys)) as batch,
+        closing(KernelBatch(Navigate, 1, **keys)) as alone,
+    ):
+        before, _ = batch.reset(seed=3)
+        seen, _ = batch.reset(seed=[7, 8, 9], options={"reset_mask": np.array([False, True, True])})
+        expected = [before[0], *(alone.reset(seed=seed)[0][0] for seed in (8, 9))]
+        for lane, picture in enumerate(expected):
+            np.testing.assert_array_equal(seen[lane], picture)
+        assert len({picture.tobytes() for picture in expected}) == 3

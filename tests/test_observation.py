@@ -29,6 +29,7 @@ from uavaccel.envs.sensors import ContextPlanes
 from uavaccel.envs.task import HOVER_THROTTLE
 from uavaccel.errors import UserError
 from uavaccel.export import write_minari
+from uavaccel.kernels.events import level_of
 from uavaccel.kinematics import AttitudeGoal, BodyRatesGoal, MotorsGoal
 from uavaccel.rl.agents import make_agent, origin_of
 from uavaccel.rl.double_dqn import HostDQN
@@ -224,6 +225,7 @@ def test_blocks_are_summed_and_clipped(seed: int, dtype: type) -> None:
     image = dvs_observation(on, off)
     assert image.dtype == np.uint8
     np.testing.assert_array_equal(image, np.clip(128 + sums, 0, 255))
+    assert image.ravel().tolist() == [level_of(events) for events in sums.ravel().tolist()], "the kernels'"
 
 
 # --- actions ----------------------------------------------------------------------------------------------------------

@@ -60,7 +60,7 @@ def test_an_environment_is_made_of_a_class_with_the_tasks_keys() -> None:
 
 def test_a_batch_flies_exactly_or_as_arrays() -> None:
     exact = uavaccel.make_vec(HoverTask, 2, reach_m=2.0)
-    arrays = uavaccel.make_vec("hover", 2, simulator="kernels", reach_m=2.0)
+    arrays = uavaccel.make_vec("hover", 2, simulator="kernels", reach_m=2.0, processes=None, render_mode=None)
     seen = [batch.reset(seed=3)[0] for batch in (exact, arrays)]
     assert (seen[0] == seen[1]).all()
     exact.close()

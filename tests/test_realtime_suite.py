@@ -9,10 +9,13 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import matplotlib.pyplot as plt
 import numpy as np
+import pandas as pd
 import pytest
 
 from tests import made_runs as made
+from tests.drawing import labelled
 from tests.made_runs import thinking_row
 from tests.running import configured, fly_into
 from uavaccel.errors import UserError
@@ -23,6 +26,7 @@ from uavaccel.suites import realtime_agents as agents
 from uavaccel.suites.realtime import Evaluation, Realtime
 from uavaccel.suites.realtime_agents import LookAhead, measured, policy_of, timed, train, training
 from uavaccel.suites.realtime_config import AgentBlock, EnvironmentBlock
+from uavaccel.suites.realtime_report import panels_figure
 
 PENDULUM = EnvironmentBlock(id="InvertedPendulum-v5", train_steps=512)
 CART = EnvironmentBlock(id="CartPole-v1", default_action=1, period_s=0.5)
@@ -410,3 +414,13 @@ def test_a_module_with_environments_runs_when_told(tmp_path: Path, monkeypatch: 
 def test_what_ships_can_be_made() -> None:
     for path in sorted(Path(experiment("dp1.yaml")).parent.glob("realtime*.yaml")):
         Realtime().check(configured(path.stem))
+
+
+def test_an_agent_looks_alike_in_every_panel() -> None:
+    """Also where it is the only one that was flown."""
+    rows = [("cart", "naive", 1.0), ("cart", "chunk", 2.0), ("pendulum", "chunk", 3.0), ("cart", "naive", 4.0)]
+    cells = pd.DataFrame(rows, columns=["environment", "agent", "x"]).assign(y=1.0)
+    figure, panels = panels_figure(cells, "x", "y", "agent", "A title")
+    both, alone = ({name: line[0].get_color() for name, line in labelled(axes).items()} for axes in panels)
+    assert both["chunk"] == alone["chunk"] != both["naive"]
+    plt.close(figure)

@@ -28,6 +28,7 @@ from uavaccel.files import (
     file_sha256,
     inside,
     lock_of,
+    open_bounded,
     read_arrays,
     read_lines,
     replacing,
@@ -445,6 +446,12 @@ def test_what_is_no_file_or_a_huge_one_is_not_read(read: Any, most: int, tmp_pat
     ):
         with pytest.raises(UserError, match=f"^{path}: {said}$"):
             read(path)
+
+
+def test_a_file_as_large_as_may_be_is_read(tmp_path: Path) -> None:
+    (tmp_path / "file").write_bytes(b"1234")
+    with open_bounded(tmp_path / "file", 4) as file:
+        assert file.read() == b"1234"
 
 
 def test_an_archive_that_unpacks_to_too_much_is_not_unpacked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -12,6 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from tests.clutter import KINDS, clutter
 from tests.compiling import kept
@@ -25,7 +26,7 @@ from uavaccel.kernels.appearance import read_looks
 from uavaccel.kernels.bodies import read_scene, read_surroundings, visible
 from uavaccel.kernels.fields import HALF_HEIGHT, HALF_WIDTH
 from uavaccel.kernels.scene import Scene
-from uavaccel.kernels.scene_touching import NOTHING, deepest_shape, nearest_shape
+from uavaccel.kernels.scene_touching import NOTHING, above_ground, deepest_shape, nearest_shape
 from uavaccel.resources import asset
 from uavaccel.sim import scene as scenes
 
@@ -148,6 +149,34 @@ def contacts(model: mujoco.MjModel, data: mujoco.MjData, pose: NDArray[np.float6
         geom = int(min(contact.geom, key=lambda each: model.geom_bodyid[each]))
         found[geom] = min(found.get(geom, 0.0), float(contact.dist))
     return found
+
+
+@kept(error_model="numpy")
+def bound_all(scene: Any, shape: Any, points: Any, bounds: Any) -> None:
+    for point in range(len(points)):
+        bounds[point] = above_ground(scene, shape, (points[point, 0], points[point, 1], points[point, 2]))
+
+
+def test_no_hill_is_nearer_than_the_bound() -> None:
+    """Above spikes, to any of the lines between heights; where the ground is flat, the bound is the height itself."""
+    random = np.random.default_rng(2)
+    heights = np.where(random.random((14, 11)) < 0.08, 1.0, 0.0)
+    heights[:9] = 0.0
+    data = " ".join(map(str, heights.ravel()))
+    field = f'<hfield name="hills" nrow="14" ncol="11" size="5 6.5 9 0.5" elevation="{data}"/>'
+    hills = '<geom name="hills" type="hfield" hfield="hills"/>'
+    scene = read_scene(own_world(hills, rest=f"<asset>{field}</asset>"))
+    points = random.uniform((-6.0, -7.5, 0.0), (6.0, 7.5, 4.0), (3000, 3))
+    bounds = np.zeros(len(points))
+    bound_all(scene, scene.shapes[0, 0], points, bounds)
+    x, y = np.meshgrid(np.linspace(-5.0, 5.0, 11), np.linspace(-6.5, 6.5, 14))
+    tops = np.stack([x, y, scene.heights.reshape(14, 11)], axis=-1)
+    share = np.linspace(0.0, 1.0, 40)[:, None, None, None]
+    lines = [one + share * (other - one) for one, other in ((tops[1:], tops[:-1]), (tops[:, 1:], tops[:, :-1]))]
+    nearest, _ = cKDTree(np.concatenate([line.reshape(-1, 3) for line in lines])).query(points)
+    assert (bounds <= nearest + 1e-9).all()
+    flat = (np.abs(points[:, 0]) < 5.0) & (np.abs(points[:, 1] - 4.5) < 2.0) & (np.abs(points[:, 2] - 1.5) < 1.5)
+    np.testing.assert_allclose(bounds[flat], points[flat, 2], atol=1e-12)
 
 
 @settings(deadline=None, max_examples=12)
@@ -275,6 +304,10 @@ LOOKS = """<visual><headlight active="0"/><map znear="0.01"/></visual><statistic
         ('name="front_center"', 'name="front"', "a fixed camera of the drone"),
         ("<camera", '<camera mode="track"', "a fixed camera of the drone"),
         ("<camera", '<camera projection="orthographic"', "a fixed camera of the drone"),
+        ('active="0"', 'active="1"', "without a headlight"),
+        (' specular="0 0 0"', "", "without gloss"),
+        ('name="paint"', 'name="paint" reflectance="0.3"', "without gloss"),
+        ('directional="true" ', "", "one directional light"),
         ('fovy="58.7155"', 'sensorsize="1 1" focal="1 1" resolution="1 1"', "a fixed camera of the drone"),
     ],
 )
@@ -294,6 +327,8 @@ def test_a_sun_in_a_turned_body_shines_from_there() -> None:
     expected = np.zeros(3)
     mujoco.mju_rotVecQuat(expected, model.light_dir[0], model.body_quat[model.light_bodyid[0]])
     np.testing.assert_allclose(light[6:], -expected, atol=1e-6)
+    with pytest.raises(UserError, match="a sun that stands still"):
+        read_looks(own_world(POST, DRONE.replace("<camera", SUN + "<camera"), LOOKS), (64, 36), depth=False)
 
 
 def test_what_its_material_makes_invisible_is_not_seen() -> None:
