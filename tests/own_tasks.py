@@ -110,8 +110,8 @@ class SpinTask(Task):
         return spaces.Discrete(3)
 
     def goal(self, action: Action) -> BodyRatesGoal:
-        turn = (action == 2) * 1.0 - (action == 0) * 1.0
-        return BodyRatesGoal(0.0, 0.1 * turn, turn * self.rate_deg_s * 0.0174, 0.6)
+        turn = action - 1  # whole numbers and truth values, as numbers of a goal
+        return BodyRatesGoal(turn > 1, 0.1 * turn, turn * self.rate_deg_s * 0.0174, 0.6)
 
     def sample(self, random: np.random.Generator, options: Mapping[str, object]) -> Course:
         return {"asked_rad_s": float(random.uniform(-1.0, 1.0))}
