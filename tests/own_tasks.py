@@ -129,3 +129,36 @@ class SpinTask(Task):
 
 class Spin(FlightEnv[SpinTask]):
     task_class = SpinTask
+
+
+class PairTask(Task):
+    """Fly by two numbers at once, each backwards, still or ahead; the course is nested, and differs in depth."""
+
+    flat_state: ClassVar[bool] = True
+    max_commands: int = 4
+
+    def action_space(self) -> spaces.Space[Action]:
+        return spaces.MultiDiscrete([3, 3])
+
+    def goal(self, action: Action) -> VelocityGoal:
+        north, east = np.array([-1, 0, 1], np.float32)[action]
+        return VelocityGoal((north, east, 0), -10)
+
+    def sample(self, random: np.random.Generator, options: Mapping[str, object]) -> Course:
+        return {"aim": {"at_m": float(random.random()), "legs_m": [[1.0], [2.0, 3.0]]}, "seen": [{"times": 0}]}
+
+    def advance(self, before: AnyMoment, now: AnyMoment) -> Course:
+        [seen], aim = now.course["seen"], now.course["aim"]
+        near = abs(now.position_m[0] - aim["at_m"]) < 0.5
+        legs_m = [*aim["legs_m"][:1], [2.0, aim["legs_m"][1][1] + 0.25]]
+        return {"aim": {**aim, "legs_m": legs_m}, "seen": [{"times": seen["times"] + near}]}
+
+    def reward(self, before: AnyMoment, now: AnyMoment) -> Number:
+        return now.position_m[0] * now.course["seen"][0]["times"] + now.course["aim"]["legs_m"][1][1]
+
+    def success(self, now: AnyMoment) -> Number:
+        return False
+
+
+class Pair(FlightEnv[PairTask]):
+    task_class = PairTask
