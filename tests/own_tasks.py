@@ -132,7 +132,7 @@ class Spin(FlightEnv[SpinTask]):
 
 
 class PairTask(Task):
-    """Fly by two numbers at once, each backwards, still or ahead; the course is nested, and differs in depth."""
+    """Fly by two numbers at once, each backwards, still or ahead, under conditions; the course is nested."""
 
     flat_state: ClassVar[bool] = True
     max_commands: int = 4
@@ -141,8 +141,14 @@ class PairTask(Task):
         return spaces.MultiDiscrete([3, 3])
 
     def goal(self, action: Action) -> VelocityGoal:
-        north, east = np.array([-1, 0, 1], np.float32)[action]
-        return VelocityGoal((north, east, 0), -10)
+        north, east = action - 1
+        return VelocityGoal((north * self.speed_m_s, np.array([-1, 0, 1], np.float32)[east + 1], 0), -10)
+
+    def sample_conditions(self, random: np.random.Generator, games: int) -> Mapping[str, float]:
+        return {"speed_m_s": float(random.uniform(1.0, 2.0))}
+
+    def with_conditions(self, conditions: Mapping[str, float]) -> Self:
+        return self.model_copy(update=dict(conditions))
 
     def sample(self, random: np.random.Generator, options: Mapping[str, object]) -> Course:
         return {"aim": {"at_m": float(random.random()), "legs_m": [[1.0], [2.0, 3.0]]}, "seen": [{"times": 0}]}
@@ -158,6 +164,9 @@ class PairTask(Task):
 
     def success(self, now: AnyMoment) -> Number:
         return False
+
+    def info(self, now: AnyMoment) -> Info:
+        return {"near": now.course["seen"][0]["times"]}
 
 
 class Pair(FlightEnv[PairTask]):

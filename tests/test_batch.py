@@ -102,7 +102,7 @@ def test_a_course_that_is_not_as_the_others_is_refused(first: Any, later: Any) -
 
     class Other(PairTask):
         max_commands: int = 1
-        sample, advance, reward = lambda *_: dict(coming), Task.advance, Task.reward
+        sample, advance, reward, info = lambda *_: dict(coming), Task.advance, Task.reward, Task.info
 
     def fly() -> None:
         with closing(uavaccel.make_vec(Other, 1, simulator="kernels", autoreset_mode="SameStep")) as batch:

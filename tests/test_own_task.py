@@ -254,6 +254,8 @@ def test_a_file_without_one_task_is_one_line(file: str, line: str, here: Path, s
     ("def fields(self, state, course): return [1e300]", "Post.fields: returned a number that is not finite: [inf]"),
     ("def reward(self, before, now): return __import__('numpy').ones(1)", "Post.reward: returned array("),
     ("def info(self, now): return {'commands': 'few'}", "Post.info: 'commands' is an item of all tasks"),
+    ("def info(self, now): return {'conditions': 'windy'}", "Post.info: 'conditions' is an item of all tasks"),
+    ("def sample(self, random, options): return {'conditions': 1.0}", "Post.sample: 'conditions' are those of"),
     ("def info(self, now): return {'lane': 'left'}", "Post.info: 'lane' is 'left': must be a whole number, or name"),
     ("def info(self, now): return {'distance_m': 0 * 1e400}", "Post.info: 'distance_m' is nan: must be a finite"),
     ("def action_space(self): return 4", "Post.action_space: must return a Discrete that begins with 0, or a Box"),

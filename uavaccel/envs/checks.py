@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from uavaccel.config import validate
 from uavaccel.envs.task import Task, told_of
-from uavaccel.envs.values import AT_REST, Action, Actions, Moment
+from uavaccel.envs.values import AT_REST, CONDITIONS, Action, Actions, Moment
 from uavaccel.errors import UserError
 from uavaccel.kinematics import FlightGoal, Kinematics
 from uavaccel.own_code import errors_named, file_of
@@ -158,6 +158,8 @@ def check_functions(task: Task) -> None:
         what = "a Discrete that begins with 0, or a Box of shape (n,)"
         raise call.wrong("action_space", f"must return {what}, not {actions!r}")
     course = call.mapping("sample", np.random.default_rng(0), {})
+    if CONDITIONS in course:
+        raise call.wrong("sample", f"{CONDITIONS!r} are those of sample_conditions: name yours otherwise")
     try:
         json.dumps(course)
     except (TypeError, ValueError) as error:
@@ -189,7 +191,7 @@ def check_functions(task: Task) -> None:
 
 def _check_info(task: Task, call: Functions, now: Moment) -> None:
     info = call.mapping("info", now)
-    if taken := {*told_of(task, now), "wall_s", "phase_s", "host_phase_s"} & {*info}:
+    if taken := {*told_of(task, now), CONDITIONS, "wall_s", "phase_s", "host_phase_s"} & {*info}:
         raise call.wrong("info", f"{min(taken)!r} is an item of all tasks: name yours otherwise")
     for name, kind in (("lane", Integral), ("distance_m", Real)):  # which are columns of a run's rows
         if name in info and not (isinstance(info[name], kind) and math.isfinite(info[name])):

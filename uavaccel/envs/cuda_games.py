@@ -19,12 +19,11 @@ from numpy.typing import NDArray
 from uavaccel.envs.arrays import mapped
 from uavaccel.envs.checks import known_options
 from uavaccel.envs.conditions import OF_SENSOR
-from uavaccel.envs.flight_env import CONDITIONS
 from uavaccel.envs.kernel_games import Drawn, GameMaker, keys_of
 from uavaccel.envs.navigate import NavigateTask
 from uavaccel.envs.obstacle_lane import LaneTask
 from uavaccel.envs.task import Task
-from uavaccel.envs.values import State
+from uavaccel.envs.values import CONDITIONS, State
 from uavaccel.kernels import clutter_games, lane_games
 from uavaccel.kernels import cuda as kernels
 from uavaccel.kernels.fields import NO_APPEARANCE, Appearance

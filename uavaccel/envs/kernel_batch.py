@@ -20,14 +20,14 @@ from uavaccel.config import MOST_PROCESSES
 from uavaccel.envs.arrays import assign, each_of, mapped, named_leaves, select
 from uavaccel.envs.batch import TurnBatch, set_up
 from uavaccel.envs.checks import actions_of, whole_number
-from uavaccel.envs.flight_env import CONDITIONS, FlightEnv
+from uavaccel.envs.flight_env import FlightEnv
 from uavaccel.envs.judging import Flown, Judge, Running
 from uavaccel.envs.kernel_games import Drawn, GameMaker, keys_of, plan_of, since_ns_of
 from uavaccel.envs.sensors import NO_ACTION, blank_frame
 from uavaccel.envs.simulators import CPU, check_flyable, kind_of, profile_of
 from uavaccel.envs.stopwatch import PHASES
 from uavaccel.envs.task import Task
-from uavaccel.envs.values import Actions, Answer, Frame, Info, Observation, SavedState, State, Steps
+from uavaccel.envs.values import CONDITIONS, Actions, Answer, Frame, Info, Observation, SavedState, State, Steps
 from uavaccel.errors import UserError
 from uavaccel.kernels import cpu, events, timeline
 from uavaccel.kernels import lanes as rows

@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 from uavaccel.commands import samples_due
 from uavaccel.envs.arrays import named_leaves, rank, stacked
 from uavaccel.envs.checks import Functions, known_options
-from uavaccel.envs.flight_env import CONDITIONS, sample_game
+from uavaccel.envs.flight_env import sample_game
 from uavaccel.envs.sensors import PICTURE_SIZE
 from uavaccel.envs.simulators import clutter_of, kind_of, latency_of, profile_of, speed_of
 from uavaccel.envs.task import AnyLayout, Task
-from uavaccel.envs.values import Course
+from uavaccel.envs.values import CONDITIONS, Course
 from uavaccel.kernels import timeline
 from uavaccel.kernels.appearance import fill_scenes, read_appearance, read_looks
 from uavaccel.kernels.bodies import Surroundings, read_scene, read_surroundings
