@@ -289,6 +289,17 @@ def test_a_mistake_in_flight_is_one_line(
     assert line in error or simulator == "kernels"
 
 
+def test_a_mistake_in_a_task_that_it_is_derived_from_is_one_line(
+    here: Path, said: Callable[[str], str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fly_here(monkeypatch.setattr)
+    here.joinpath("post.py").write_text(f"{POST}\n    def success(self, now): return 1 // (2 - now.commands) > 9\n")
+    here.joinpath("leaf.py").write_text("from post import Post\n\nclass Leaf(Post):\n    near_m: float = 1.0\n")
+    error = said(f"train {yaml_of(here, 'Post')} --set task.class=leaf.py:Leaf --trust --out run")
+    assert error.startswith(f"{here}/post.py:")
+    assert error.endswith(": Post.success: ZeroDivisionError: integer division or modulo by zero")
+
+
 def test_a_start_where_nothing_flies_is_one_line(
     here: Path, said: Callable[[str], str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

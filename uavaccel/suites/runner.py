@@ -21,7 +21,7 @@ from pathlib import Path
 from uavaccel.config import MOST_GAMES, MOST_PROCESSES
 from uavaccel.errors import UsageError, UserError
 from uavaccel.files import is_file_name, to_json
-from uavaccel.own_code import errors_named, file_of, trusted_folder, trusting
+from uavaccel.own_code import errors_named, files_of, trusted_folder, trusting
 from uavaccel.processes.lifetime import remove_orphaned_files, work_for_parent
 from uavaccel.processes.workers import LOKY, Delayed, check_count, on_this_machine
 from uavaccel.records import RunDirectory
@@ -57,7 +57,7 @@ def check_jobs(suite: AnySuite, config: Experiment, jobs: int, engine: str = LOK
 
 def cases_of(suite: AnySuite, config: Experiment) -> list[Case]:
     """Return all cases. Raises UserError for too many, for equal names, and for names that files cannot have."""
-    with errors_named(file_of(type(suite))):
+    with errors_named(files_of(type(suite))):
         cases = list(islice(suite.cases(config), MOST_GAMES + 1))
     if len(cases) > MOST_GAMES:
         raise UserError(f"more than {MOST_GAMES} games in all: fewer games, or fewer values to combine")
@@ -163,7 +163,8 @@ def _own_errors(suite: AnySuite, config: Experiment) -> Iterator[None]:
         if isinstance(error, BatchError | ServerGoneError):
             raise
         environment = getattr(config, "environment_class", None)
-        with errors_named(file_of(type(suite))), errors_named(environment and file_of(environment)):
+        own = (environment, environment.task_class) if environment else ()
+        with errors_named(files_of(type(suite), *own)):
             raise
 
 
