@@ -114,8 +114,8 @@ class SpinTask(Task):
         return spaces.Discrete(3)
 
     def goal(self, action: Action) -> BodyRatesGoal:
-        turn = (action == 2) * 1.0 - (action == 0) * 1.0
-        return BodyRatesGoal(0.0, 0.1 * turn, turn * self.rate_deg_s * 0.0174, 0.6)
+        turn = action - 1  # whole numbers and truth values, as numbers of a goal
+        return BodyRatesGoal(turn > 1, 0.1 * turn, turn * self.rate_deg_s * 0.0174, 0.6)
 
     def sample(self, random: np.random.Generator, options: Mapping[str, object]) -> Course:
         return {"asked_rad_s": float(random.uniform(-1.0, 1.0))}
@@ -133,3 +133,45 @@ class SpinTask(Task):
 
 class Spin(FlightEnv[SpinTask]):
     task_class = SpinTask
+
+
+class PairTask(Task):
+    """Fly by two numbers at once, each backwards, still or ahead, under conditions; the course is nested."""
+
+    flat_state: ClassVar[bool] = True
+    max_commands: int = 4
+
+    def action_space(self) -> spaces.Space[Action]:
+        return spaces.MultiDiscrete([3, 3])
+
+    def goal(self, action: Action) -> VelocityGoal:
+        north, east = action - 1
+        return VelocityGoal((north * self.speed_m_s, np.array([-1, 0, 1], np.float32)[east + 1], 0), -10)
+
+    def sample_conditions(self, random: np.random.Generator, games: int) -> Mapping[str, float]:
+        return {"speed_m_s": float(random.uniform(1.0, 2.0))}
+
+    def with_conditions(self, conditions: Mapping[str, float]) -> Self:
+        return self.model_copy(update=dict(conditions))
+
+    def sample(self, random: np.random.Generator, options: Mapping[str, object]) -> Course:
+        return {"aim": {"at_m": float(random.random()), "legs_m": [[1.0], [2.0, 3.0]]}, "seen": [{"times": 0}]}
+
+    def advance(self, before: AnyMoment, now: AnyMoment) -> Course:
+        [seen], aim = now.course["seen"], now.course["aim"]
+        near = abs(now.position_m[0] - aim["at_m"]) < 0.5
+        legs_m = [*aim["legs_m"][:1], [2.0, aim["legs_m"][1][1] + 0.25]]
+        return {"aim": {**aim, "legs_m": legs_m}, "seen": [{"times": seen["times"] + near}]}
+
+    def reward(self, before: AnyMoment, now: AnyMoment) -> Number:
+        return now.position_m[0] * now.course["seen"][0]["times"] + now.course["aim"]["legs_m"][1][1]
+
+    def success(self, now: AnyMoment) -> Number:
+        return False
+
+    def info(self, now: AnyMoment) -> Info:
+        return {"near": now.course["seen"][0]["times"]}
+
+
+class Pair(FlightEnv[PairTask]):
+    task_class = PairTask

@@ -58,6 +58,8 @@ def test_one_that_grows_is_in_the_way_and_is_hit_by_its_name(wire: AirSimWire) -
     name, ends = spawn(wire, "hut", "Cube", (30.0, 30.0, -20.0)), [point(28.0, y, -20.0) for y in (0.0, 60.0)]
     for metres, free in ((1.0, True), (6.0, False)):
         assert wire.call("simSetObjectScale", name, point(metres, metres, metres))
+        with pytest.raises(rpc.RpcError, match=r"m inside hut\."):
+            wire.call("simSetVehiclePose", pose(30.0, 30.0, -20.0), False)
         assert wire.call("simTestLineOfSightBetweenPoints", *ends) is free
     wire.call("simSetVehiclePose", pose(30.0, 30.0, -23.04), False, "")
     wire.fly(0.01)

@@ -19,11 +19,14 @@ from gymnasium.vector import AutoresetMode
 import uavaccel.envs
 from tests.lanes import SideBySide, mostly_ahead
 from tests.opengl import needs_opengl
+from tests.own_tasks import Pair, PairTask
 from tests.processes import descendants, left_after, state_of
 from uavaccel.envs import environment_process
 from uavaccel.envs.batch import EnvironmentBatch
 from uavaccel.envs.environment_process import BatchError
+from uavaccel.envs.kernel_batch import KernelBatch
 from uavaccel.envs.obstacle_lane import ObstacleLane
+from uavaccel.envs.task import Task
 from uavaccel.errors import UserError
 from uavaccel.sim.camera import gl
 
@@ -77,6 +80,40 @@ def test_a_mask_says_which_games_begin_anew(simulator: str) -> None:
         for wrong in ([True], [False, False], [1, 0], "yes"):
             with pytest.raises(UserError, match=r"^reset: option reset_mask: must be 2 truth values"):
                 batch.reset(options={"reset_mask": wrong})
+
+
+@pytest.mark.parametrize("mode", ["SameStep", "NextStep"])
+def test_lanes_have_actions_of_several_numbers_and_nested_courses(mode: str) -> None:
+    with closing(KernelBatch(Pair, 2, autoreset_mode=mode)) as batch, closing(Pair()) as one, closing(Pair()) as other:
+        flown, random = SideBySide(batch, [one, other]), np.random.default_rng(0)
+        flown.reset(7)
+        for _ in range(COMMANDS):
+            flown.step(random.integers(3, size=(2, 2)))
+    assert len(flown.ends) == 2
+
+
+@pytest.mark.parametrize(("first", "later"), [
+    ({"x": 1}, {"x": 1.5}), ({"x": [1.0]}, {"x": [1.0, 2.0]}), ({"x": 1}, {"y": 1}), ({"x": {"y": 1}}, {"x": 1}),
+    ({"x": "left"}, {}), ({"x": None}, {}),
+])  # fmt: skip
+def test_a_course_that_is_not_as_the_others_is_refused(first: Any, later: Any) -> None:
+    """Also in the game of an automatic reset: nothing is cut to the kind of the first."""
+    coming = dict(first)
+
+    class Other(PairTask):
+        max_commands: int = 1
+        sample, advance, reward, info = lambda *_: dict(coming), Task.advance, Task.reward, Task.info
+
+    def fly() -> None:
+        with closing(uavaccel.make_vec(Other, 1, simulator="kernels", autoreset_mode="SameStep")) as batch:
+            batch.reset(seed=0)
+            coming.clear()
+            coming.update(later)
+            batch.step([[1, 1]])
+
+    refused = r"Other\.sample: over arrays, the courses of all games must have the same items, .* simulator = mujoco$"
+    with pytest.raises(UserError, match=refused):
+        fly()
 
 
 @needs_opengl
@@ -205,6 +242,7 @@ def test_a_batch_closes_though_its_processes_are_stopped(gone: bool) -> None:
 FLYING = """
 import numpy as np, sys
 from uavaccel.envs.batch import EnvironmentBatch
+from uavaccel.envs.kernel_batch import KernelBatch
 from uavaccel.envs.obstacle_lane import ObstacleLane
 batch = EnvironmentBatch(ObstacleLane, 2, 1)
 batch.reset(seed=0)

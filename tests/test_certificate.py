@@ -432,9 +432,9 @@ def test_an_environment_of_ones_own_is_beside_the_policy(capsys: pytest.CaptureF
     assert "own_cart.py:act in Beside-v0: holds 90% of its return" in capsys.readouterr().out
     with pytest.raises(UserError, match=r"^environment 'own_card:Beside-v0': no module 'own_card' in "):
         ran("timing measure own_cart.py:act own_card:Beside-v0")
-    for command in ("measure", "certify --delay 1"):
+    for command in ("measure", "certify --delay 1", "certify --delay 2 --jobs 2"):
         with pytest.raises(UserError, match=r"own_cart.py:8: Stuck.step: KeyError: 'wheel'$"):
-            ran(f"timing {command} own_cart.py:act own_cart:Stuck-v0 --set default_action=0 --out stuck")
+            ran(f"timing {command} own_cart.py:act own_cart:Stuck-v0 --set default_action=0 --out stuck{len(command)}")
 
 
 @pytest.mark.parametrize(

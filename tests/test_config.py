@@ -1,8 +1,9 @@
 """Configurations: what is refused, what the one line says, and that YAML comes back as it went."""
 
 import json
+import re
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import pytest
 from hypothesis import example, given
@@ -91,6 +92,16 @@ def test_a_valid_mapping_becomes_a_frozen_configuration() -> None:
 def test_a_refusal_names_file_key_value_and_remedy(mapping: dict[str, Any], line: str) -> None:
     assert refusal(mapping) == line
     assert "not made of text, numbers, lists and mappings" in refusal({**mapping, "games": b"2"})
+
+
+@pytest.mark.parametrize(("default", "line"), [
+    (-1.0, "key = -1.0: should be greater than 0"), ([1, "x"], "key.1 = 'x': should be a valid integer"),
+])  # fmt: skip
+def test_a_default_that_does_not_fit_is_named(default: object, line: str) -> None:
+    kind = list[int] if isinstance(default, list) else Annotated[float, Field(gt=0)]
+    made: type[Config] = type("Made", (Config,), {"__annotations__": {"key": kind}, "key": default})
+    with pytest.raises(UserError, match=f"^my.yaml: {re.escape(line)}$"):
+        validate(made, {}, source="my.yaml")
 
 
 # --- YAML ---------------------------------------------------------------------------------------------------

@@ -42,7 +42,7 @@ def test_a_variant_changes_its_keys_and_nothing_else() -> None:
     assert Ablation().dp1_of(named, "a") == plain, "the seed is the run's"
 
 
-def test_lanes_and_latencies_are_found_beside_their_yaml(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_lanes_latencies_and_parts_are_found_beside_their_yaml(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """What the working directory has goes before."""
     (tmp_path / "own").mkdir()
     for folder, x_m, scale in ((tmp_path, 7, 7), (tmp_path / "own", 9, 9)):
@@ -50,14 +50,15 @@ def test_lanes_and_latencies_are_found_beside_their_yaml(tmp_path: Path, monkeyp
         (folder / "slow.yaml").write_text(f"latency: {{scale: {scale}}}\n")
     task = "task: {lane: lane.yaml, latency: slow.yaml}\n"
     (tmp_path / "own/evaluation.yaml").write_text(f"suite: evaluate\nagent: straight\n{task}")
-    (tmp_path / "sweep.yaml").write_text(
-        "suite: sweep\nsweep: {wind: [1]}\nevaluation: {experiment: own/evaluation.yaml}\n"
-    )
+    for sweep, part in (("sweep.yaml", "own/evaluation.yaml"), ("own/beside.yaml", "evaluation.yaml")):
+        (tmp_path / sweep).write_text(f"suite: sweep\nsweep: {{wind: [1]}}\nevaluation: {{experiment: {part}}}\n")
     monkeypatch.chdir(tmp_path)
     for there in (7, 9):
         with reading(RunRequest("own/evaluation.yaml")) as (_, config):
             assert (config.task.lane.obstacles[0].x_m, config.task.latency.scale) == (there, there)
-        with reading(RunRequest("sweep.yaml")) as (_, config):
+        for sweep in ("sweep.yaml", "own/beside.yaml"):
+            with reading(RunRequest(sweep)) as (_, config):
+                pass
             assert config.evaluation.resolve(0)[1].task.latency.scale == there
         for name in ("lane.yaml", "slow.yaml"):
             (tmp_path / name).unlink(missing_ok=True)

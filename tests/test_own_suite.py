@@ -88,6 +88,17 @@ def test_a_report_finds_the_suite_from_any_folder(home: Path, here: Path, said: 
     assert (run / "summary.json").read_bytes() == before
 
 
+@pytest.mark.parametrize(("place", "function"), [("return GameResult(", "fly"), ("return (Speed(", "cases")])
+def test_what_goes_wrong_in_its_flights_is_one_line(
+    place: str, function: str, here: Path, said: Callable[[str], str]
+) -> None:
+    text = BLOCKS["python"].replace(place, f"raise SystemExit(3)\n        {place}")
+    (here / "toy.py").write_text(text)
+    (here / "toy.yaml").write_text(BLOCKS["yaml"])
+    line = text.partition("raise SystemExit")[0].count("\n") + 1
+    assert said("run toy.yaml --out run").endswith(f"{here}/toy.py:{line}: Toy.{function}: SystemExit: 3")
+
+
 def test_what_is_no_block_of_a_page_is_named(here: Path) -> None:
     (here / "toy.py").write_text(BLOCKS["python"].replace("axes.legend()", "yield 3"))
     (here / "toy.yaml").write_text(BLOCKS["yaml"])

@@ -254,6 +254,8 @@ def test_a_file_without_one_task_is_one_line(file: str, line: str, here: Path, s
     ("def fields(self, state, course): return [1e300]", "Post.fields: returned a number that is not finite: [inf]"),
     ("def reward(self, before, now): return __import__('numpy').ones(1)", "Post.reward: returned array("),
     ("def info(self, now): return {'commands': 'few'}", "Post.info: 'commands' is an item of all tasks"),
+    ("def info(self, now): return {'conditions': 'windy'}", "Post.info: 'conditions' is an item of all tasks"),
+    ("def sample(self, random, options): return {'conditions': 1.0}", "Post.sample: 'conditions' are those of"),
     ("def info(self, now): return {'lane': 'left'}", "Post.info: 'lane' is 'left': must be a whole number, or name"),
     ("def info(self, now): return {'distance_m': 0 * 1e400}", "Post.info: 'distance_m' is nan: must be a finite"),
     ("def action_space(self): return 4", "Post.action_space: must return a Discrete that begins with 0, or a Box"),
@@ -285,6 +287,17 @@ def test_a_mistake_in_flight_is_one_line(
     assert f"{here}/post.py" in error
     assert f"Post.{function.partition('(')[0]}" in error
     assert line in error or simulator == "kernels"
+
+
+def test_a_mistake_in_a_task_that_it_is_derived_from_is_one_line(
+    here: Path, said: Callable[[str], str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fly_here(monkeypatch.setattr)
+    here.joinpath("post.py").write_text(f"{POST}\n    def success(self, now): return 1 // (2 - now.commands) > 9\n")
+    here.joinpath("leaf.py").write_text("from post import Post\n\nclass Leaf(Post):\n    near_m: float = 1.0\n")
+    error = said(f"train {yaml_of(here, 'Post')} --set task.class=leaf.py:Leaf --trust --out run")
+    assert error.startswith(f"{here}/post.py:")
+    assert error.endswith(": Post.success: ZeroDivisionError: integer division or modulo by zero")
 
 
 def test_a_start_where_nothing_flies_is_one_line(

@@ -72,6 +72,7 @@ def test_a_batch_flies_exactly_or_as_arrays() -> None:
     [
         ("hoover", {}, r"^task 'hoover': is unknown; did you mean 'hover'\?$"),
         (int, {}, r"^task <class 'int'>: is unknown; known: lane, .*, a class of Task or FlightEnv$"),
+        (HoverTask(), {}, r"^task HoverTask.*: is unknown; known: lane, .*, a class of Task or FlightEnv$"),
         ("hover", {"reach_n": 2.0}, "^Hover: unknown key 'reach_n'; did you mean 'reach_m'"),
         ("hover", {"reach_m": 2j}, "^Hover: not made of text, numbers, lists and mappings: 2j is none of these$"),
         (Hover, {"reach_m": "2"}, "^Hover: reach_m = '2': should be a valid number"),
@@ -86,6 +87,15 @@ def test_what_cannot_be_made_is_one_clear_line(task: Any, keys: dict[str, Any], 
 def test_a_class_without_a_file_of_its_own_is_not_trained() -> None:
     with pytest.raises(UserError, match=r"^Hover: is not in a file of your own: write it into one, or name a training"):
         uavaccel.train(Hover, games=1)
+
+
+def test_what_is_neither_a_name_nor_a_class_is_one_line() -> None:
+    train: Callable[..., Any] = uavaccel.train
+    with pytest.raises(UserError, match=r"^an object of HoverTask: must be a name, a path, or the class of a task$"):
+        train(HoverTask())
+    evaluate: Callable[..., Any] = uavaccel.evaluate
+    with pytest.raises(UserError, match=r"^an object of function: must be a name, a path, or a run; a function as 'my"):
+        evaluate(lambda seen: 0)
 
 
 def test_a_class_that_other_processes_cannot_import_is_one_line() -> None:

@@ -6,6 +6,7 @@ Type checkers read `keywords.pyi` beside this, which names every key.
 from __future__ import annotations
 
 import json
+import reprlib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -71,7 +72,7 @@ def train(
     from uavaccel.suites.session import RunRequest
 
     named = None if experiment is None and resume else experiment or "train"
-    named = _file_and_class(named) if isinstance(named, type) else named and str(named)
+    named = _file_and_class(named) if isinstance(named, type) else named and _name(named, "the class of a task")
     how = jobs, _path(out), resume, False, "train"
     return _flown(RunRequest(named, {"seeds": seeds}, _overrides(keys), *how, trust=trust))
 
@@ -92,7 +93,8 @@ def evaluate(
     """
     from uavaccel.suites.session import RunRequest
 
-    named, options = None if agent is None and resume else "evaluate", {"agent": agent and _folder(agent)}
+    named = None if agent is None and resume else "evaluate"
+    options = {"agent": agent and _name(agent, "a run; a function as 'my_file.py:act'")}
     how = jobs, _path(out), resume, False, "evaluate"
     return _flown(RunRequest(named, options, _overrides(keys), *how, trust=trust))
 
@@ -117,8 +119,9 @@ def _environment(task: Any) -> type[FlightEnv[Any]]:
         return environment_of(own)
     from uavaccel.rl.config import ENVIRONMENTS, SHORT, environment_class
 
-    if (env_id := SHORT.get(task, task)) not in ENVIRONMENTS:
-        raise UserError(f"task {task!r}: is unknown; {suggestion(str(task), [*SHORT, 'a class of Task or FlightEnv'])}")
+    if not isinstance(task, str) or (env_id := SHORT.get(task, task)) not in ENVIRONMENTS:
+        known = suggestion(str(task), [*SHORT, "a class of Task or FlightEnv"])
+        raise UserError(f"task {reprlib.repr(task)}: is unknown; {known}")
     return environment_class(env_id)
 
 
@@ -155,6 +158,13 @@ def _file_and_class(task: type) -> str:
         return f"{file}:{task.__qualname__}"
     own = "is not in a file of your own: write it into one, or name a training that ships, as hover_ppo"
     raise UserError(f"{task.__name__}: {own}")
+
+
+def _name(given: object, what: str) -> str:
+    """Return a name or a path. Raises UserError for anything else: beside these there is `what`."""
+    if isinstance(given, str | Path | RunDirectory):
+        return _folder(given)
+    raise UserError(f"an object of {type(given).__name__}: must be a name, a path, or {what}")
 
 
 def _folder(source: str | Path | RunDirectory) -> str:

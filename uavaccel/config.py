@@ -265,10 +265,14 @@ def _dotted(mapping: object, error: ErrorDetails) -> str:
     parts: list[str] = []
     value: Plain = mapping
     above = error["loc"][:-1] if error["type"] in ("missing", "extra_forbidden") else error["loc"]
-    for part in above:
+    found = 0
+    for depth, part in enumerate(above, start=1):
         with suppress(KeyError, IndexError, TypeError):
             value = value[part]
             parts.append(str(part))
+            found = depth
+    if above is error["loc"] and isinstance(value, Mapping) and error["input"] != value:  # of a default
+        parts += map(str, above[found:])
     return ".".join([*parts, *map(str, error["loc"][len(above) :])])
 
 

@@ -6,6 +6,8 @@ import math
 from dataclasses import astuple, dataclass
 from typing import ClassVar
 
+import numpy as np
+
 Vector = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
 
@@ -78,8 +80,13 @@ _MAX_DEGREE_OF_FREEDOM = 0
 def airsim_command(goal: FlightGoal, t_move_s: float) -> tuple[str, tuple[object, ...]]:
     """Return AirSim's command for a goal, and its arguments before the vehicle's name."""
     if not isinstance(goal, VelocityGoal):
-        return goal.airsim_name, (*astuple(goal), t_move_s)
-    vx, vy, vz = goal.velocity_m_s
+        return goal.airsim_name, (*map(_plain, astuple(goal)), t_move_s)
+    vx, vy, vz = map(_plain, goal.velocity_m_s)
     yaw_mode = {"is_rate": goal.yaw_is_rate, "yaw_or_rate": math.degrees(goal.yaw)}
-    name, third = ("moveByVelocity", vz) if goal.height_m is None else ("moveByVelocityZ", goal.height_m)
+    name, third = ("moveByVelocity", vz) if goal.height_m is None else ("moveByVelocityZ", _plain(goal.height_m))
     return name, (vx, vy, third, t_move_s, _MAX_DEGREE_OF_FREEDOM, yaw_mode)
+
+
+def _plain(number: float) -> float:
+    """Return NumPy's numbers and truth values as the numbers that they are in arithmetic, others as they are."""
+    return float(number) if isinstance(number, np.number | np.bool_ | bool) else number

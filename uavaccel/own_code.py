@@ -16,6 +16,7 @@ import sys
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from importlib import import_module
+from itertools import takewhile
 from pathlib import Path
 from traceback import walk_tb
 from types import ModuleType
@@ -164,6 +165,11 @@ def file_of(owner: type) -> Path | None:
     return Path(file).resolve() if file and not shipped and Path(file).is_file() else None
 
 
+def files_of(*owners: type) -> list[Path]:
+    """Return the files of classes, and of those of one's own from which they are derived."""
+    return [file for owner in owners for file in takewhile(bool, map(file_of, owner.__mro__)) if file]
+
+
 def folder_of(owner: type) -> Path | None:
     """Return the folder from which the module of a class is imported; None as `file_of` has it."""
     file = file_of(owner)
@@ -190,24 +196,25 @@ def _name_of(owner: type, file: Path | None) -> str:
 
 
 @contextmanager
-def errors_named(file: Path | None, where: str = "") -> Iterator[None]:
+def errors_named(files: Path | Sequence[Path] | None, where: str = "") -> Iterator[None]:
     """Turn an error that comes out of own code into a UserError of one line: file, line, function, and what it says.
 
-    Without a file no code is own. Where other code failed that the file called, the line is that of the call.
+    Without a file no code is own. Where other code failed that a file called, the line is that of the call.
     """
+    named = [files] if isinstance(files, Path) else files or ()
     try:
         yield
     except UserError:
         raise
     except (Exception, SystemExit) as error:
         frames = [(frame.f_code, line) for frame, line in walk_tb(error.__traceback__)]
-        own = [(code, line) for code, line in frames if Path(code.co_filename) == file]
-        if isinstance(error, SyntaxError) and Path(error.filename or "") == file:
-            place, said = f"{file}:{error.lineno}", error.msg
+        own = [(code, line) for code, line in frames if Path(code.co_filename) in named]
+        if isinstance(error, SyntaxError) and Path(error.filename or "") in named:
+            place, said = f"{error.filename}:{error.lineno}", error.msg
         elif own:
             code, line = own[-1]
             function = code.co_qualname.replace("<module>", "")
-            place, said = f"{file}:{line}{': ' * bool(function)}{function}", str(error).partition("\n")[0]
+            place, said = f"{code.co_filename}:{line}{': ' * bool(function)}{function}", str(error).partition("\n")[0]
         else:
             raise
         raise UserError(f"{where}{': ' * bool(where)}{place}: {type(error).__name__}: {said}") from error

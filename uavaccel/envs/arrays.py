@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from functools import lru_cache
 from typing import Any, TypeAlias
 
@@ -57,6 +58,12 @@ def _on_device(data: bytes, shape: tuple[int, ...], kind: str, device: Any) -> A
     import torch as th
 
     return th.from_numpy(np.frombuffer(data, kind).reshape(shape).copy()).to(device)
+
+
+def rank(array: Number) -> int:
+    """Return 0 for flags, 1 for whole numbers, 2 for fractions, and 3 for anything else."""
+    kinds = "bool", "int", "float"
+    return next((place for place, kind in enumerate(kinds) if kind in str(array.dtype)), len(kinds))
 
 
 # --- nested -----------------------------------------------------------------------------------------
@@ -115,8 +122,24 @@ def assign_where(tree: Tree, where: Any, values: Tree) -> None:
 
 
 def stacked(courses: Sequence[Mapping[str, Any]]) -> dict[str, Tree]:
-    """Stack the courses of n games: each number becomes an array (n,), each list of numbers a list of arrays."""
-    return {name: _columns(np.array([course[name] for course in courses])) for name in courses[0]}
+    """Stack the courses of n games: each number becomes an array (n,) in its place.
+
+    Raises TypeError or ValueError unless they are of numbers and nested alike.
+    """
+    if any(course.keys() != courses[0].keys() for course in courses):
+        raise TypeError
+    return {name: _stacked([course[name] for course in courses]) for name in courses[0]}
+
+
+def _stacked(values: Sequence[Any]) -> Tree:
+    if isinstance(values[0], Mapping):
+        return stacked(values)
+    with suppress(ValueError):  # of lists of different lengths
+        if (stack := np.array(values)).dtype.kind in "biuf":
+            return _columns(stack)
+    if not isinstance(values[0], list | tuple):
+        raise TypeError
+    return [_stacked(each) for each in zip(*values, strict=True)]
 
 
 def _columns(values: Number) -> Tree:

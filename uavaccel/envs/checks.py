@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 
 from uavaccel.config import validate
 from uavaccel.envs.task import Task, told_of
-from uavaccel.envs.values import AT_REST, Action, Actions, Moment
+from uavaccel.envs.values import AT_REST, CONDITIONS, Action, Actions, Moment
 from uavaccel.errors import UserError
 from uavaccel.kinematics import FlightGoal, Kinematics
-from uavaccel.own_code import errors_named, file_of
+from uavaccel.own_code import errors_named, files_of
 
 TaskT = TypeVar("TaskT", bound=Task)
 RENDER_MODES = ["rgb_array"]
@@ -126,14 +126,15 @@ class Functions:
     """The functions of a task; what goes wrong in one is a UserError that names file, class and function."""
 
     def __init__(self, task: Task) -> None:
-        self._task, self._file = task, file_of(type(task))
+        self._task, self._files = task, files_of(type(task))
 
     def __call__(self, name: str, *arguments: object) -> Any:
         try:
-            with errors_named(self._file):
+            with errors_named(self._files):
                 return getattr(self._task, name)(*arguments)
         except UserError as error:
-            raise error if str(error).startswith(str(self._file)) else self.wrong(name, str(error)) from error
+            named = str(error).startswith(tuple(map(str, self._files)))
+            raise error if named else self.wrong(name, str(error)) from error
         except Exception as error:  # of the call itself, as for a wrong number of arguments
             raise self.wrong(name, f"{type(error).__name__}: {error}") from error
 
@@ -143,7 +144,7 @@ class Functions:
         return returned
 
     def wrong(self, name: str, what: str) -> UserError:
-        place = "" if self._file is None else f"{self._file}: "
+        place = f"{self._files[0]}: " if self._files else ""
         return UserError(f"{place}{type(self._task).__name__}.{name.removeprefix('lane_')}: {what}")
 
 
@@ -158,6 +159,8 @@ def check_functions(task: Task) -> None:
         what = "a Discrete that begins with 0, or a Box of shape (n,)"
         raise call.wrong("action_space", f"must return {what}, not {actions!r}")
     course = call.mapping("sample", np.random.default_rng(0), {})
+    if CONDITIONS in course:
+        raise call.wrong("sample", f"{CONDITIONS!r} are those of sample_conditions: name yours otherwise")
     try:
         json.dumps(course)
     except (TypeError, ValueError) as error:
@@ -189,7 +192,7 @@ def check_functions(task: Task) -> None:
 
 def _check_info(task: Task, call: Functions, now: Moment) -> None:
     info = call.mapping("info", now)
-    if taken := {*told_of(task, now), "wall_s", "phase_s", "host_phase_s"} & {*info}:
+    if taken := {*told_of(task, now), CONDITIONS, "wall_s", "phase_s", "host_phase_s"} & {*info}:
         raise call.wrong("info", f"{min(taken)!r} is an item of all tasks: name yours otherwise")
     for name, kind in (("lane", Integral), ("distance_m", Real)):  # which are columns of a run's rows
         if name in info and not (isinstance(info[name], kind) and math.isfinite(info[name])):

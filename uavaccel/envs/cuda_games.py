@@ -16,15 +16,14 @@ import torch as th
 from gymnasium.utils import seeding
 from numpy.typing import NDArray
 
-from uavaccel.envs.arrays import mapped, stacked
+from uavaccel.envs.arrays import mapped
 from uavaccel.envs.checks import known_options
 from uavaccel.envs.conditions import OF_SENSOR
-from uavaccel.envs.flight_env import CONDITIONS
 from uavaccel.envs.kernel_games import Drawn, GameMaker, keys_of
 from uavaccel.envs.navigate import NavigateTask
 from uavaccel.envs.obstacle_lane import LaneTask
 from uavaccel.envs.task import Task
-from uavaccel.envs.values import State
+from uavaccel.envs.values import CONDITIONS, State
 from uavaccel.kernels import clutter_games, lane_games
 from uavaccel.kernels import cuda as kernels
 from uavaccel.kernels.fields import NO_APPEARANCE, Appearance
@@ -327,7 +326,7 @@ class SampledAhead(LaneGames):
 
     def _send_courses(self, games: Sequence[Drawn], target: th.Tensor) -> None:
         """Transfer what the kernels do not read: the games' courses, conditions, keys, and scales of latencies."""
-        self._write(self.starts, target, stacked([game.own_course for game in games]))
+        self._write(self.starts, target, self.maker.courses(games, self.starts or None))
         sampled = [game.course.get(CONDITIONS, {}) for game in games]
         for name in dict.fromkeys([*self.conditions, *(name for conditions in sampled for name in conditions)]):
             values = np.array([conditions.get(name, np.nan) for conditions in sampled])

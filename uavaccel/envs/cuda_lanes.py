@@ -16,13 +16,12 @@ from uavaccel.envs.arrays import assign_where, each_of, joined, mapped, named_le
 from uavaccel.envs.cuda_clocks import DeviceClocks
 from uavaccel.envs.cuda_games import games_of
 from uavaccel.envs.cuda_view import view_of
-from uavaccel.envs.flight_env import CONDITIONS
 from uavaccel.envs.judging import COLLISION, TICK, Flown, Judge, Running
 from uavaccel.envs.kernel_games import plan_of, since_ns_of, slices_of
 from uavaccel.envs.simulators import CUDA, check_flyable, passes_together, profile_of
 from uavaccel.envs.stopwatch import PHASES
 from uavaccel.envs.task import Mediation
-from uavaccel.envs.values import Info, State
+from uavaccel.envs.values import CONDITIONS, Info, State
 from uavaccel.kernels import cuda as kernels
 from uavaccel.kernels import lanes
 from uavaccel.kernels.fields import DVS, STATE

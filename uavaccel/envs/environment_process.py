@@ -36,7 +36,7 @@ from uavaccel.envs.arrays import assign, select
 from uavaccel.envs.flight_env import FlightEnv, environment_of
 from uavaccel.envs.values import Action, Answer, Info, Observation
 from uavaccel.errors import UserError
-from uavaccel.own_code import errors_named, file_of, import_alone
+from uavaccel.own_code import errors_named, files_of, import_alone
 from uavaccel.processes.forks import CAN_FORK, WITHOUT_THREADS, Fork, Forks, fork_each
 from uavaccel.processes.lifetime import (
     Process,
@@ -329,14 +329,14 @@ def fly(options: Options, number: int, descriptor: int) -> None:
     shared, connection = SharedObservations(options["form"], options["memory"]), Connection(descriptor)
     module, _, name = options["environment"].partition(":")
     slot: Slot | None = None
-    own: Path | None = None
+    own: list[Path] = []
     try:
         while True:
             method, arguments = connection.recv()
             try:
                 if slot is None:
                     found: Any = environment_of(attrgetter(name)(import_alone(module)))
-                    slot, own = Slot(found, options, shared, number), file_of(found)
+                    slot, own = Slot(found, options, shared, number), files_of(found, found.task_class)
                 with errors_named(own):
                     answer = getattr(slot, method)(*arguments)
                 connection.send((True, answer))

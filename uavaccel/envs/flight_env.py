@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import replace
 from functools import cache
-from typing import TYPE_CHECKING, Any, Final, Generic
+from typing import TYPE_CHECKING, Any, Generic
 
 import gymnasium
 import numpy as np
@@ -33,7 +33,7 @@ from uavaccel.envs.checks import (
 from uavaccel.envs.sensors import NO_ACTION, EventCamera
 from uavaccel.envs.stopwatch import Stopwatch
 from uavaccel.envs.task import Mediation, Task, told_of
-from uavaccel.envs.values import Action, Course, Frame, Info, Moment, Observation, State
+from uavaccel.envs.values import CONDITIONS, Action, Course, Frame, Info, Moment, Observation, State
 from uavaccel.errors import UserError
 from uavaccel.kinematics import Kinematics
 from uavaccel.sim.camera import gl
@@ -44,8 +44,6 @@ if TYPE_CHECKING:  # a task can be made without what flies it
     from uavaccel.envs.observer import Observer
     from uavaccel.sim.recording import Recording
     from uavaccel.wire.session import Session
-
-CONDITIONS: Final = "conditions"  # key in the course of a game with sampled conditions
 
 
 def sample_game(
@@ -90,6 +88,7 @@ class FlightEnv(gymnasium.Env[Observation, Action], Generic[TaskT]):
         self._observers: list[Observer] = []
         self._stopwatches: list[Stopwatch] = []
         self._now: Moment
+        self._conditions: Info = {}
         self._flown: list[tuple[Any, ...]] = []  # what changed the running game: a method and its arguments
 
     # --- Gymnasium --------------------------------------------------------------------------------
@@ -232,6 +231,7 @@ class FlightEnv(gymnasium.Env[Observation, Action], Generic[TaskT]):
             self._session = open_session(task.timing, task.profile, task.scene, before.latency)
             if task.dvs_ticks and not task.blank_images:
                 self._session.watch(task.dvs_ticks, self._look)
+        self._conditions = {name: course[name] for name in (CONDITIONS,) if name in course}
         self.episode_task = task = task.with_conditions(course.get(CONDITIONS, {}))
         if task.dvs_parameters != before.dvs_parameters:
             self.sensor = task.sensor()
@@ -367,7 +367,7 @@ class FlightEnv(gymnasium.Env[Observation, Action], Generic[TaskT]):
         wall_s = (self._client.now_ns() - self._start_ns) / NS_PER_S if self._client else 0.0
         spent = {"wall_s": wall_s, "phase_s": self._stopwatches[0].spent_s()}
         host = {"host_phase_s": self._stopwatches[1].spent_s()} if self.task.report_host_times else {}
-        return {**told_of(self.task, self._now), **spent, **self.task.info(self._now), **host}
+        return {**told_of(self.task, self._now), **spent, **self.task.info(self._now), **self._conditions, **host}
 
     def _host_disturbances(self) -> Info:
         """Return the seconds of wall time that a finished game in `wall` lost, and for which its server stalled."""

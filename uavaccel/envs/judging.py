@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from gymnasium import spaces
 
-from uavaccel.envs.arrays import cast, full, joined, mapped, namespace_of, picture_of
+from uavaccel.envs.arrays import cast, full, joined, mapped, namespace_of, picture_of, rank
 from uavaccel.envs.checks import Functions, check_features, check_reward
 from uavaccel.envs.sensors import NO_ACTION
 from uavaccel.envs.stopwatch import PHASES
@@ -76,10 +76,11 @@ class Judge:
     def __init__(self, task: Task, surroundings: Surroundings, tick_ns: int, since_ns: int = 0) -> None:
         self.task, self._surroundings, self._tick_ns, self._since_ns = task, surroundings, tick_ns, since_ns
         self.objects = (*surroundings.obstacle_names, *surroundings.names)
-        self.discrete = not isinstance(task.action_space(), spaces.Box)
+        space = task.action_space()
+        self.discrete = not space.shape  # an action is one number
+        self._kind = "float64" if isinstance(space, spaces.Box) else "int64"
         self._context, self._blank = task.context_planes(), task.sensor().blank
         self._sees_state = task.observation == "state" and not task.blank_images
-        space = task.action_space()
         any_goal = self._goal(np.zeros((2, *(space.shape or ())), space.dtype), {})
         self.modes = np.array(_modes_of(any_goal))
         """What the four numbers of all goals are: the autopilot's modes of xy, z and yaw."""
@@ -94,7 +95,7 @@ class Judge:
         goal = self._goal(actions, keys)
         if _modes_of(goal) != tuple(self.modes):
             raise UserError(f"{type(self.task).__name__}.goal: all actions must ask for the same kind of goal")
-        like = cast(actions if self.discrete else actions[:, 0], "float64")
+        like = cast(actions.reshape(len(actions), -1)[:, 0], "float64")
         numbers = joined([full(number, like) for number in goal.values], like)
         if isinstance(numbers, np.ndarray) and not np.isfinite(numbers).all():  # nothing waits for a GPU
             raise Functions(self.task).wrong("goal", "returned a number that is not finite")
@@ -102,7 +103,7 @@ class Judge:
 
     def _goal(self, actions: Action, keys: Mapping[str, Number]) -> Goal:
         task = self.task.model_copy(update=dict(keys)) if keys else self.task
-        given = actions if self.discrete else cast(actions, "float64").T
+        given = actions if self.discrete else namespace_of(actions).moveaxis(cast(actions, self._kind), 0, -1)
         goal: Goal = self._over_arrays("goal", actions, lambda: autopilot_goal(task.goal(given)))
         return goal
 
@@ -204,19 +205,19 @@ class Judge:
     def _as_sampled(self, course: Mapping[str, Any], before: Mapping[str, Any]) -> Mapping[str, Any]:
         """Return a course as arrays. Raises UserError unless it has the numbers that were sampled, and their kinds."""
         name = f"{type(self.task).__name__}.advance"
+        items = f"{name}: its course must have the items that sample gives it: {', '.join(map(str, before))}"
         if set(course) != set(before):
-            raise UserError(f"{name}: its course must have the items that sample gives it: {', '.join(before)}")
-
-        def rank(array: Number) -> int:  # of flags, whole numbers, and others
-            kind = str(array.dtype)
-            return 2 if "float" in kind else 0 if "bool" in kind else 1
+            raise UserError(items)
 
         def kept(old: Number, new: Number) -> Number:
             if rank(new := full(new, old)) > rank(old):
                 raise UserError(f"{name}: a number of its course is {new.dtype}, and was sampled as {old.dtype}")
             return new
 
-        return dict(mapped(kept, dict(before), course))
+        try:
+            return dict(mapped(kept, dict(before), course))
+        except (IndexError, KeyError, TypeError, ValueError) as error:  # of items that are nested otherwise
+            raise UserError(items) from error
 
     def _times(self, flown: Flown) -> tuple[Number, Number]:
         """Return which samples (n, S) precede a collision, and the frames' times.

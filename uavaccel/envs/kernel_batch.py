@@ -17,17 +17,17 @@ from numpy.typing import NDArray
 
 from uavaccel.clock import MonotonicClock
 from uavaccel.config import MOST_PROCESSES
-from uavaccel.envs.arrays import assign, each_of, mapped, named_leaves, select, stacked
+from uavaccel.envs.arrays import assign, each_of, mapped, named_leaves, select
 from uavaccel.envs.batch import TurnBatch, set_up
 from uavaccel.envs.checks import actions_of, whole_number
-from uavaccel.envs.flight_env import CONDITIONS, FlightEnv
+from uavaccel.envs.flight_env import FlightEnv
 from uavaccel.envs.judging import Flown, Judge, Running
 from uavaccel.envs.kernel_games import Drawn, GameMaker, keys_of, plan_of, since_ns_of
 from uavaccel.envs.sensors import NO_ACTION, blank_frame
 from uavaccel.envs.simulators import CPU, check_flyable, kind_of, profile_of
 from uavaccel.envs.stopwatch import PHASES
 from uavaccel.envs.task import Task
-from uavaccel.envs.values import Actions, Answer, Frame, Info, Observation, SavedState, State, Steps
+from uavaccel.envs.values import CONDITIONS, Actions, Answer, Frame, Info, Observation, SavedState, State, Steps
 from uavaccel.errors import UserError
 from uavaccel.kernels import cpu, events, timeline
 from uavaccel.kernels import lanes as rows
@@ -127,7 +127,7 @@ class KernelBatch(TurnBatch):
 
     def _blank_games(self) -> Running:
         """Return arrays for the games in `_drawn`."""
-        course = stacked([drawn.own_course for drawn in self._drawn])
+        course = self._maker.courses(self._drawn)
         games: Running = mapped(np.copy, self._judge.begun(course, np.zeros((self.num_envs, KINEMATICS)), None))
         return games
 
@@ -267,7 +267,7 @@ class KernelBatch(TurnBatch):
             part.result()
         self._over[lanes], self._host_s[lanes] = False, 0.0
         numbers, *_ = self._ends(lanes)
-        course = stacked([each.own_course for each in drawn])
+        course = self._maker.courses(drawn, self._running.course)
         games = self._judge.begun(course, numbers, self._first_pictures(lanes))
         assign(self._running, lanes, games)
         return self._infos(lanes, games, np.zeros(len(lanes), bool))

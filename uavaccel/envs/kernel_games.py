@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from functools import lru_cache
 from itertools import pairwise
@@ -12,12 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uavaccel.commands import samples_due
-from uavaccel.envs.checks import known_options
-from uavaccel.envs.flight_env import CONDITIONS, sample_game
+from uavaccel.envs.arrays import named_leaves, rank, stacked
+from uavaccel.envs.checks import Functions, known_options
+from uavaccel.envs.flight_env import sample_game
 from uavaccel.envs.sensors import PICTURE_SIZE
 from uavaccel.envs.simulators import clutter_of, kind_of, latency_of, profile_of, speed_of
 from uavaccel.envs.task import AnyLayout, Task
-from uavaccel.envs.values import Course
+from uavaccel.envs.values import CONDITIONS, Course
 from uavaccel.kernels import timeline
 from uavaccel.kernels.appearance import fill_scenes, read_appearance, read_looks
 from uavaccel.kernels.bodies import Surroundings, read_scene, read_surroundings
@@ -74,6 +76,19 @@ class GameMaker:
         task = self.task.with_conditions(course.get(CONDITIONS, {}))
         return Drawn(course, task, task.lane_layout(course), latencies)
 
+    def courses(self, games: Sequence[Drawn], kept: Mapping[str, Any] | None = None) -> dict[str, Any]:
+        """Return the courses of games over arrays, which are to replace some of `kept`.
+
+        Raises UserError unless all have the same items, numbers of the same kinds.
+        """
+        with suppress(IndexError, KeyError, OverflowError, TypeError, ValueError):
+            course = stacked([game.own_course for game in games])
+            kinds = _ranks(course if kept is None else kept)
+            if kinds.keys() == (now := _ranks(course)).keys() and all(now[name] <= kinds[name] for name in kinds):
+                return course
+        what = "over arrays, the courses of all games must have the same items, numbers of the same kinds"
+        raise Functions(self.task).wrong("sample", f"{what}; or use simulator = mujoco")
+
     def rows(self, count: int) -> Games:
         """Allocate rows for `count` games."""
         scene, clutter, seen = self.surroundings.scene, clutter_of(self.task), None
@@ -108,6 +123,10 @@ class GameMaker:
         data = world.data
         body = np.concatenate([data.qpos, data.qvel, data.qfrc_applied, np.zeros(6)])
         return world.lead.parameters.copy(), world.lead.state.copy(), body
+
+
+def _ranks(course: Mapping[str, Any]) -> dict[str, int]:
+    return {name: rank(array) for name, array in named_leaves(course, "course").items()}
 
 
 def keys_of(task: Task, games: Sequence[Drawn]) -> dict[str, NDArray[np.float64]]:

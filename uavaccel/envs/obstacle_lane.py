@@ -16,7 +16,7 @@ from pydantic import Field, field_validator, model_validator
 
 from uavaccel.config import Count, Height, Seconds, validate
 from uavaccel.envs.conditions import LATENCY, OF_DIFFICULTY, OF_TASK, Ranges, corners, keys_of
-from uavaccel.envs.flight_env import CONDITIONS, FlightEnv
+from uavaccel.envs.flight_env import FlightEnv
 from uavaccel.envs.sensors import ContextKind, ContextPlanes
 from uavaccel.envs.task import AnyLayout, Task
 from uavaccel.envs.values import AnyMoment, Course, Info, Number
@@ -224,9 +224,8 @@ class LaneTask(Task):
         return now.free & (now.position_m[0] >= LENGTH_M)
 
     def info(self, now: AnyMoment) -> Info:
-        """Return the distance flown north, the lane's index and, if they were sampled, the conditions."""
-        drawn = {name: now.course[name] for name in (CONDITIONS,) if name in now.course}
-        return {"distance_m": now.position_m[0], "lane": now.course["lane"], **drawn}
+        """Return the distance flown north and the lane's index."""
+        return {"distance_m": now.position_m[0], "lane": now.course["lane"]}
 
 
 class ObstacleLane(FlightEnv[LaneTask]):

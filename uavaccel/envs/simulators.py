@@ -59,6 +59,7 @@ def check_flyable(task: Task, lanes: int, device: str) -> None:
         f"picture_size = {list(size)}: the lane is rendered in [256, 144] only": (
             scene == "lane" and size != PICTURE_SIZE and kind != STATE
         ),
+        f"the action space {task.action_space()} is not of arrays": task.action_space().shape is None,
         f"clock_speed = {task.clock_speed} has more digits than lanes' clocks": digits > MOST_DIGITS,
     }
     if why := next((reason for reason, holds in reasons.items() if holds), None):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, Final, NamedTuple, TypeAlias
 
 import numpy as np
 from gymnasium.vector import VectorEnv
@@ -49,6 +49,9 @@ SavedState = Mapping[str, Any]
 
 Answer: TypeAlias = Any
 """Result of a method of an environment, or value of its attribute."""
+
+CONDITIONS: Final = "conditions"
+"""Key in the course, and in infos, of a game with sampled conditions."""
 
 AT_REST = Kinematics(0, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
 

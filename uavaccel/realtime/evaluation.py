@@ -38,6 +38,7 @@ from uavaccel.files import (
     write_json,
 )
 from uavaccel.metrics.intervals import Proportion, bootstrap_interval
+from uavaccel.own_code import errors_named, file_of
 from uavaccel.processes.workers import check_count, on_this_machine
 from uavaccel.realtime.measuring import MOST_STEPS, MakesEnv, environment_identity, made, plain_or_text, versions_with
 from uavaccel.realtime.plant import counted
@@ -309,7 +310,7 @@ def certify(
             **sweep.setup(),
             "versions": versions_with(flown),
         }
-    games = _Games(env, policy, sweep, real_time, Path.cwd())
+        games = _Games(env, policy, sweep, real_time, Path.cwd(), file_of(type(flown.unwrapped)))
     with closing(loaded), _one_thread():
         plan = sweep.plan()
         rows = folder.begin(setup, plan)
@@ -352,6 +353,8 @@ class _Games:
     sweep: Sweep
     real_time: Mapping[str, Any]
     folder: Path
+    file: Path | None
+    """Of the environment."""
 
     def rows(self, policy: Policy | None, plan: Plan) -> Iterator[Row]:
         """Play the episodes, in an environment for each latency; a policy that is loaded here was trusted before."""
@@ -380,7 +383,8 @@ def _rows_in_worker(packed: bytes, plan: Plan) -> list[Row]:
     """Play a part of the episodes, in the parent's working directory."""
     games: _Games = pickle.loads(packed)
     os.chdir(games.folder)
-    return list(games.rows(None, plan))
+    with errors_named(games.file):
+        return list(games.rows(None, plan))
 
 
 def _episode(env: RealTime, policy: Policy, seed: int, success: str | None) -> Row:

@@ -58,6 +58,7 @@ class SceneObjects:
         self._kinds = {geom: int(self._model.geom_type[geom]) for geom in self._geoms.values()}
         self._full_size = {geom: _half_sizes(self._model, geom) for geom in self._geoms.values()}
         self._scales: dict[int, Scale] = {}
+        world.called = self.name_of
 
     @property
     def _model(self) -> mujoco.MjModel:

@@ -56,6 +56,8 @@ class World:
         self.clutter: ClutterLayout | None = None
         self._cameras: dict[tuple[int, int], Camera] = {}
         self._observers: list[tuple[int, int, Callable[[int], None]]] = []
+        self.called: Callable[[str], str] = str
+        """Returns clients' name of the object with a geom's name."""
         self.revision = 0
         """Grows whenever objects or vehicles were added, removed or moved, or look different."""
         self.recorder = Samples(profile.recorder_ticks)
@@ -269,7 +271,7 @@ class World:
         self.clearance.check_now()
         depth_m, geom = depth(vehicle, position_m, orientation_wxyz)
         if depth_m > DEEPEST_M:
-            raise UserError(f"position: {position_m} m is {depth_m:.2g} m inside {self.name_of(geom)}")
+            raise UserError(f"position: {position_m} m is {depth_m:.2g} m inside {self.called(self.name_of(geom))}")
 
     def penetration(self, vehicle: Vehicle) -> tuple[float, str]:
         """Return how deep, in m, a vehicle is in what it now touches, and the name of that; (0, "") without any."""

@@ -15,12 +15,12 @@ from pathlib import Path
 from typing import Any, TextIO, TypeAlias
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, field_validator
 
 from uavaccel.config import MOST_PROCESSES, Config
 from uavaccel.files import Plain, inside
 from uavaccel.forms import ArrayForm
-from uavaccel.own_code import trusting
+from uavaccel.own_code import file_beside, trusting
 from uavaccel.records import RunDirectory
 from uavaccel.suites.experiment import Row
 from uavaccel.suites.registry import configuration, find_suite, folder_beside, is_file, merged, open_run, read_mapping
@@ -46,9 +46,14 @@ class Part(Config):
     """A run of another experiment, with some of its keys changed."""
 
     experiment: str
-    """Name of an experiment that ships, or of a YAML file."""
+    """Name of an experiment that ships, or of a YAML file, here or beside the one that names it."""
     keys: dict[str, Plain] = Field(default_factory=dict)
     """Values by dotted key, as for --set."""
+
+    @field_validator("experiment")
+    @classmethod
+    def _is_found(cls, experiment: str) -> str:
+        return str(file_beside(experiment)) if is_file(experiment) else experiment
 
     def resolve(self, seed: int) -> Run:
         """Return suite and configuration. Raises UserError."""

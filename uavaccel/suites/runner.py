@@ -21,7 +21,7 @@ from pathlib import Path
 from uavaccel.config import MOST_GAMES, MOST_PROCESSES
 from uavaccel.errors import UsageError, UserError
 from uavaccel.files import is_file_name, to_json
-from uavaccel.own_code import errors_named, file_of, trusted_folder, trusting
+from uavaccel.own_code import errors_named, files_of, trusted_folder, trusting
 from uavaccel.processes.lifetime import remove_orphaned_files, work_for_parent
 from uavaccel.processes.workers import LOKY, Delayed, check_count, on_this_machine
 from uavaccel.records import RunDirectory
@@ -57,7 +57,8 @@ def check_jobs(suite: AnySuite, config: Experiment, jobs: int, engine: str = LOK
 
 def cases_of(suite: AnySuite, config: Experiment) -> list[Case]:
     """Return all cases. Raises UserError for too many, for equal names, and for names that files cannot have."""
-    cases = list(islice(suite.cases(config), MOST_GAMES + 1))
+    with errors_named(files_of(type(suite))):
+        cases = list(islice(suite.cases(config), MOST_GAMES + 1))
     if len(cases) > MOST_GAMES:
         raise UserError(f"more than {MOST_GAMES} games in all: fewer games, or fewer values to combine")
     for name, count in Counter(case.id for case in cases).items():
@@ -144,17 +145,27 @@ def _games(
             yield from zip(cases, games, strict=True)
             continue
         try:
-            with _own_errors(config), suite.open(config, timing, run) as opened:
+            with _own_errors(suite, config), suite.open(config, timing, run) as opened:
                 for case in cases:
                     yield case, fly_case(suite, config, case, opened)
         except BatchError as error:
             raise UserError(f"{error}; go on with --resume") from error
 
 
-def _own_errors(config: Experiment) -> AbstractContextManager[None]:
-    """Name what goes wrong in an environment of one's own by its file, line and function."""
-    environment = getattr(config, "environment_class", None)
-    return errors_named(environment and file_of(environment))
+@contextmanager
+def _own_errors(suite: AnySuite, config: Experiment) -> Iterator[None]:
+    """Name what goes wrong in a suite or an environment of one's own by its file, line and function."""
+    try:
+        yield
+    except (Exception, SystemExit) as error:
+        from uavaccel.envs.environment_process import BatchError
+
+        if isinstance(error, BatchError | ServerGoneError):
+            raise
+        environment = getattr(config, "environment_class", None)
+        own = (environment, environment.task_class) if environment else ()
+        with errors_named(files_of(type(suite), *own)):
+            raise
 
 
 _OPENED: dict[tuple[str, str], tuple[AnySuite, Opened, ExitStack]] = {}  # by the run's folder, and timing
@@ -163,7 +174,7 @@ _OPENED: dict[tuple[str, str], tuple[AnySuite, Opened, ExitStack]] = {}  # by th
 def _fly_in_worker(config: Experiment, case: Case, folder: Path, place: Path | None) -> GameResult:
     """Fly a case in this worker process, which keeps what it opened; own code runs, also of `place`."""
     key = (str(folder), case.timing)
-    with trusting(beside=place), _own_errors(config):
+    with trusting(beside=place):
         if key not in _OPENED:
             if threading.current_thread() is threading.main_thread():  # Dask's workers fly in another one
                 work_for_parent(os.getppid())
@@ -172,10 +183,12 @@ def _fly_in_worker(config: Experiment, case: Case, folder: Path, place: Path | N
             run = RunDirectory(folder)
             suite = suite_of(run)
             left = ExitStack()
-            _OPENED[key] = suite, left.enter_context(suite.open(config, case.timing, run)), left
+            with _own_errors(suite, config):
+                _OPENED[key] = suite, left.enter_context(suite.open(config, case.timing, run)), left
             atexit.register(_leave_in_worker, str(folder))  # where this process ends with the run
         suite, opened, _ = _OPENED[key]
-        return fly_case(suite, config, case, opened)
+        with _own_errors(suite, config):
+            return fly_case(suite, config, case, opened)
 
 
 def _leave_in_worker(folder: str) -> None:
