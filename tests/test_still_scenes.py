@@ -83,8 +83,9 @@ def test_rays_meet_what_mujocos_rays_meet(kind: str) -> None:
     model = mujoco.MjModel.from_xml_string(clutter(3, KINDS if kind == "all" else [kind, "sphere"]))
     scene, data, random = read_scene(model, seen=True), kinematic(model), np.random.default_rng(5)
     others = 0
-    for _ in range(8):
-        origin = np.array([*random.uniform(-12, 12, 2), random.uniform(1.5, 7.0)], np.float32)
+    for number in range(8):
+        heights = (-7.0, -4.0) if kind == "hfield" and number % 2 else (1.5, 7.0)  # it is seen from below, too
+        origin = np.array([*random.uniform(-12, 12, 2), random.uniform(*heights)], np.float32)
         rays = random.normal(size=(1000, 3)) * (1.0, 1.0, 0.5)
         rays = (rays / np.linalg.norm(rays, axis=1, keepdims=True)).astype(np.float32)
         distances, items = np.zeros(1000, np.float32), np.zeros(1000, np.int64)
