@@ -23,7 +23,7 @@ from uavaccel.kernels import casting, tiles
 from uavaccel.kernels import scene as at
 from uavaccel.kernels.appearance import read_looks
 from uavaccel.kernels.bodies import read_scene, read_surroundings, visible
-from uavaccel.kernels.fields import HALF_HEIGHT, HALF_WIDTH
+from uavaccel.kernels.fields import EMISSION, HALF_HEIGHT, HALF_WIDTH
 from uavaccel.kernels.scene import Scene
 from uavaccel.kernels.scene_touching import NOTHING, deepest_shape, nearest_shape
 from uavaccel.resources import asset
@@ -295,6 +295,19 @@ def test_a_sun_in_a_turned_body_shines_from_there() -> None:
     expected = np.zeros(3)
     mujoco.mju_rotVecQuat(expected, model.light_dir[0], model.body_quat[model.light_bodyid[0]])
     np.testing.assert_allclose(light[6:], -expected, atol=1e-6)
+
+
+def test_what_glows_by_its_material_glows_in_every_shape() -> None:
+    """Shapes but planes and boxes have their texture's mean as their colour, and their material's emission as it is."""
+    rest = LOOKS.replace('name="tiles"', 'name="tiles" emission="0.5" rgba="1 0.5 0 1"')
+    things = POST + '<geom name="ball" size="1" material="tiles"/><geom name="bare" size="1" rgba="1 0 0 1"/>'
+    model = own_world(SUN + things, rest=rest)
+    looks, rows = read_looks(model, (64, 36), depth=False), read_scene(model, seen=True).shapes[0]
+    seen = {model.geom(int(row[at.GEOM])).name: row for row in rows}
+    assert int(seen["bare"][at.MATERIAL]) == -1
+    assert looks.materials[int(seen["ball"][at.MATERIAL]), EMISSION] == 0.5
+    mean = np.mean(model.tex_data[-8 * 8 * 3 :].reshape(-1, 3), axis=0) / 255
+    np.testing.assert_allclose(seen["ball"][at.RGB : at.DATA], mean * (1.0, 0.5, 0.0), rtol=1e-6)
 
 
 def test_what_its_material_makes_invisible_is_not_seen() -> None:

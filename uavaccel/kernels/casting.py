@@ -504,7 +504,9 @@ def colour_of(scene: Scene, world: int, looks: Looks, eye: Eye, pixel: Any, size
     shape, point = scene.shapes[world, item], along(eye[0], ray, distance)
     material = int(shape[at.MATERIAL])
     red, green, blue = shade(shape, looks, normal_at(scene, world, item, point, ray), material)
-    if material < 0 or looks.materials[material, TEXTURE_ID] <= ZERO:
+    kind = int(shape[at.KIND])
+    flat = kind == PLANE or kind == at.BOX
+    if not flat or material < 0 or looks.materials[material, TEXTURE_ID] <= ZERO:
         return lit(WHITE, red, green, blue)
     return lit(np.int32(texel_of(shape, looks, material, point, eye, pixel, size)), red, green, blue)
 
