@@ -200,6 +200,8 @@ def check_airframes(model: mujoco.MjModel, spec: mujoco.MjSpec, names: Sequence[
     from_geoms = spec.compiler.inertiafromgeom == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE
     if from_geoms or not spec.body(names[0]).explicitinertial:
         raise ValueError(f'body "{names[0]}": inertial is missing, and its geoms make no drone: {RIGHT}')
+    if model.opt.integrator != mujoco.mjtIntegrator.mjINT_EULER:
+        raise ValueError('option: integrator must be "Euler", with which drones are flown')
     bodies = [int(model.body(name).id) for name in names]
     turned = [_align(model, body, name) for body, name in zip(bodies, names, strict=True)]
     if any(turned):
@@ -263,8 +265,7 @@ def _align(model: mujoco.MjModel, body: int, name: str) -> bool:
 
 def _is_free(model: mujoco.MjModel, body: int) -> bool:
     """Whether MuJoCo accelerates a body, away from all others, as one free body under gravity alone."""
-    euler = model.opt.integrator == mujoco.mjtIntegrator.mjINT_EULER
-    if model.body_dofnum[body] != 6 or model.body_jntnum[body] != 1 or not euler:
+    if model.body_dofnum[body] != 6 or model.body_jntnum[body] != 1:
         return False
     data, flags = mujoco.MjData(model), model.opt.disableflags
     dofs = slice(int(model.body_dofadr[body]), int(model.body_dofadr[body]) + 6)
