@@ -71,6 +71,22 @@ def test_a_tilted_imu_feels_the_force_along_its_own_axes() -> None:
     assert xyz(told["angular_velocity"]) == pytest.approx(xyz(true["angular_velocity"]))
 
 
+def test_a_vehicles_sensors_stand_beside_the_defaults_of_other_kinds() -> None:
+    """As in AirSim; without a name the first by name is read, and one that is not enabled takes its default's place."""
+    far = {"Sensors": {"Z": LIDAR | {"Range": 1.0}, "B": LIDAR, "Gone": {"SensorType": 1, "Enabled": False}}}
+    wire = AirSimWire({"Vehicles": {"Drone": far}})
+    assert wire.call("getImuData", "imu", "")["orientation"]["w_val"] == pytest.approx(1.0)
+    assert wire.call("getGpsData", "", "")["is_valid"] is not None
+    assert wire.call("getLidarData", "", "")["point_cloud"] == wire.call("getLidarData", "B", "")["point_cloud"]
+    assert wire.call("getLidarData", "", "")["point_cloud"] != wire.call("getLidarData", "Z", "")["point_cloud"]
+    with pytest.raises(rpc.RpcError, match="No barometer with name  exist on vehicle"):
+        wire.call("getBarometerData", "", "")
+    wire = AirSimWire({"DefaultSensors": {"Tilt": {"SensorType": 2}}, "Vehicles": {"Drone": far}})
+    assert wire.call("getImuData", "", "") == wire.call("getImuData", "Tilt", "")
+    with pytest.raises(rpc.RpcError, match="No gps with name"):
+        wire.call("getGpsData", "", "")
+
+
 @pytest.mark.parametrize("method", ["getImuData", "getBarometerData", "getMagnetometerData"])
 def test_noise_depends_on_tick_and_seed_alone(method: str) -> None:
     def after_a_second(seed: int = 0, asking_before: bool = False) -> AirSimWire:
