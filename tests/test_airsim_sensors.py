@@ -12,7 +12,7 @@ import pytest
 from tests.airsim_wire import AirSimWire, xyz
 from tests.scenes import Pose
 from uavaccel.kinematics import Kinematics
-from uavaccel.sim.earth import GeoPoint, atmosphere, geographic, local, magnetic_field_gauss
+from uavaccel.sim.earth import GeoPoint, atmosphere, geodetic, local, magnetic_field_gauss
 from uavaccel.sim.poses import Pose as ScenePose
 from uavaccel.sim.profile import AIRSIM
 from uavaccel.sim.sensors import (
@@ -156,7 +156,7 @@ def test_a_gps_converges_and_is_as_late_in_velocity_as_in_place() -> None:
     assert acceleration[0] > 1.0
     assert xyz(told["velocity"]) == pytest.approx(velocity - 0.2 * acceleration)
     place = np.array(xyz(true["position"])) - 0.2 * velocity + 0.02 * acceleration
-    then = geographic(tuple(place.tolist()), GeoPoint(10.0, 20.0, 300.0))
+    then = geodetic(tuple(place.tolist()), GeoPoint(10.0, 20.0, 300.0))
     assert [*told["geo_point"].values()] == pytest.approx([*then], abs=1e-9)
     assert told["time_utc"] * 1000 == wire.call("getGpsData", "", "")["time_stamp"] == EPOCH_NS + 500_000_000
 

@@ -88,7 +88,8 @@ class SensorApi(Calls, title="Sensors"):
             profile.tick_s,
             world.tick * profile.tick_s,
             self.scenery.settings.home,
-            self.scenery.vehicle(vehicle).body,
+            (own := self.scenery.vehicle(vehicle)).body,
+            own.origin_m,
         )
 
     def _stamp(self) -> int:
