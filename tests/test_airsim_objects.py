@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
+from pathlib import Path
 
+import mujoco
 import numpy as np
 import pytest
 from hypothesis import given
@@ -12,10 +14,13 @@ from hypothesis import strategies as st
 
 from tests.airsim_wire import AirSimWire
 from tests.flying import point, pose
+from uavaccel.resources import asset
+from uavaccel.sim import scene
 from uavaccel.sim.objects import SceneObjects, cast, matching
 from uavaccel.sim.profile import NATIVE
 from uavaccel.sim.scene import QUADROTOR, SPARES
 from uavaccel.sim.world import World
+from uavaccel.units import attitude_difference_rad, mujoco_to_ned, ned_to_mujoco, quaternion_ned_to_mujoco
 from uavaccel.wire import rpc
 from uavaccel.wire.pictures import colours
 
@@ -64,6 +69,41 @@ def test_one_that_grows_is_in_the_way_and_is_hit_by_its_name(wire: AirSimWire) -
     wire.call("simSetVehiclePose", pose(30.0, 30.0, -23.04), False, "")
     wire.fly(0.01)
     assert wire.call("simGetCollisionInfo", "")["object_name"] == name
+
+
+TREES = """<mujoco><include file="quadrotor.xml"/><worldbody>
+<body name="hedge" pos="0 -3 0"><geom size="0.5 0.5 1" type="box"/><geom size="0.7" pos="0 0 1.5"/></body>
+<body name="tree" pos="6 0 0" euler="0 0 90"><geom name="trunk" type="cylinder" size="0.2 1" pos="0 0 1"/>
+<body euler="0 30 0"><geom name="leaves" size="1.5" pos="0 1 3" contype="0" conaffinity="0"/></body></body>
+</worldbody></mujoco>"""
+
+
+def test_geoms_of_bodies_are_objects_too_and_rays_meet_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also those that nothing collides with; geoms without a name are called as their body."""
+    (tmp_path / "quadrotor.xml").write_text(asset("mjcf/quadrotor.xml").read_text())
+    (tmp_path / "trees.xml").write_text(TREES)
+    monkeypatch.setattr(scene, "scene_path", lambda *_: tmp_path / "trees.xml")
+    world, plain = World("trees", NATIVE, airsim=True), World("trees", NATIVE)
+    objects, data = SceneObjects(world), plain.data
+    mujoco.mj_kinematics(plain.model, data)
+    assert objects.names() == ["hedge", "hedge_1", "leaves", "trunk"]
+    for name in ("leaves", "trunk"):
+        placed = objects.pose(name)
+        assert placed is not None
+        assert placed.position_m == pytest.approx(mujoco_to_ned(data.geom(name).xpos))
+        turned = np.zeros(4)
+        mujoco.mju_mat2Quat(turned, data.geom(name).xmat)
+        assert attitude_difference_rad(quaternion_ned_to_mujoco(placed.orientation_wxyz), turned) < 1e-6
+    rays = np.random.default_rng(0).normal(size=(300, 3))
+    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+    hits, drone = cast(world.model, world.data, (3.0, 1.0, -2.0), rays, exclude=QUADROTOR), plain.lead.body_id
+    expected = [
+        mujoco.mj_ray(plain.model, data, [3.0, -1.0, 2.0], ned_to_mujoco(ray), None, 1, drone, np.zeros(1, np.int32))
+        for ray in rays
+    ]
+    met = np.isfinite(hits.distance_m)
+    assert {world.name_of(int(geom)) for geom in hits.geoms[met]} == set(objects.names())
+    np.testing.assert_allclose(np.where(met, hits.distance_m, -1.0), expected, atol=1e-9)
 
 
 @pytest.mark.opengl

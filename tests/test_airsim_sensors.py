@@ -12,7 +12,7 @@ import pytest
 from tests.airsim_wire import AirSimWire, xyz
 from tests.scenes import Pose
 from uavaccel.kinematics import Kinematics
-from uavaccel.sim.earth import GeoPoint, atmosphere, geographic, local, magnetic_field_gauss
+from uavaccel.sim.earth import GeoPoint, atmosphere, geodetic, local, magnetic_field_gauss
 from uavaccel.sim.poses import Pose as ScenePose
 from uavaccel.sim.profile import AIRSIM
 from uavaccel.sim.sensors import (
@@ -69,6 +69,22 @@ def test_a_tilted_imu_feels_the_force_along_its_own_axes() -> None:
     assert force == pytest.approx((acceleration - [0.0, 0.0, 9.80665]) @ ScenePose((0, 0, 0), turned).matrix())
     assert down @ force == pytest.approx(acceleration[2] - 9.80665)
     assert xyz(told["angular_velocity"]) == pytest.approx(xyz(true["angular_velocity"]))
+
+
+def test_a_vehicles_sensors_stand_beside_the_defaults_of_other_kinds() -> None:
+    """As in AirSim; without a name the first by name is read, and one that is not enabled takes its default's place."""
+    far = {"Sensors": {"Z": LIDAR | {"Range": 1.0}, "B": LIDAR, "Gone": {"SensorType": 1, "Enabled": False}}}
+    wire = AirSimWire({"Vehicles": {"Drone": far}})
+    assert wire.call("getImuData", "imu", "")["orientation"]["w_val"] == pytest.approx(1.0)
+    assert wire.call("getGpsData", "", "")["is_valid"] is not None
+    assert wire.call("getLidarData", "", "")["point_cloud"] == wire.call("getLidarData", "B", "")["point_cloud"]
+    assert wire.call("getLidarData", "", "")["point_cloud"] != wire.call("getLidarData", "Z", "")["point_cloud"]
+    with pytest.raises(rpc.RpcError, match="No barometer with name  exist on vehicle"):
+        wire.call("getBarometerData", "", "")
+    wire = AirSimWire({"DefaultSensors": {"Tilt": {"SensorType": 2}}, "Vehicles": {"Drone": far}})
+    assert wire.call("getImuData", "", "") == wire.call("getImuData", "Tilt", "")
+    with pytest.raises(rpc.RpcError, match="No gps with name"):
+        wire.call("getGpsData", "", "")
 
 
 @pytest.mark.parametrize("method", ["getImuData", "getBarometerData", "getMagnetometerData"])
@@ -140,7 +156,7 @@ def test_a_gps_converges_and_is_as_late_in_velocity_as_in_place() -> None:
     assert acceleration[0] > 1.0
     assert xyz(told["velocity"]) == pytest.approx(velocity - 0.2 * acceleration)
     place = np.array(xyz(true["position"])) - 0.2 * velocity + 0.02 * acceleration
-    then = geographic(tuple(place.tolist()), GeoPoint(10.0, 20.0, 300.0))
+    then = geodetic(tuple(place.tolist()), GeoPoint(10.0, 20.0, 300.0))
     assert [*told["geo_point"].values()] == pytest.approx([*then], abs=1e-9)
     assert told["time_utc"] * 1000 == wire.call("getGpsData", "", "")["time_stamp"] == EPOCH_NS + 500_000_000
 

@@ -17,7 +17,7 @@ from tests.flying import call as ask
 from tests.simulating import simulate
 from uavaccel.errors import UserError
 from uavaccel.kinematics import Kinematics
-from uavaccel.sim.earth import geographic
+from uavaccel.sim.earth import geodetic, geographic
 from uavaccel.sim.profile import PROFILES
 from uavaccel.sim.simulation import DeferredReply, Simulation
 from uavaccel.sim.world import World
@@ -232,13 +232,30 @@ def test_a_state_survives_the_wire() -> None:
     assert decode_state(encode_state(STATE)) == STATE
 
 
-def test_gps_is_a_sphere_around_airsims_origin() -> None:
+def test_homes_are_on_a_sphere_around_airsims_origin() -> None:
     """A degree of latitude is a 360th of the circumference; of longitude, the cosine of the latitude times that."""
     degree_m = 2 * math.pi * 6_378_137.0 / 360
     north = geographic((degree_m / 100, 0.0, -7.0), Settings().home)
     assert north == pytest.approx((47.641468 + 0.01, -122.140165, 122.0 + 7.0), abs=1e-9)
     east = geographic((0.0, degree_m / 1000, 0.0), Settings().home)
     assert east.longitude == pytest.approx(-122.140165 + 0.001 / math.cos(math.radians(47.641468)), abs=1e-9)
+
+
+@pytest.mark.parametrize(("place_m", "expected"), [
+    ((3000.0, -2000.0, -500.0), (47.6684446689, -122.166792765, 623.019409)),
+    ((9000.0, 9000.0, -3000.0), (47.7223124619, -122.020263627, 3134.6897)),
+    ((-5000.0, 100.0, -9000.0), (47.5965613644, -122.138837203, 9123.95996)),
+])  # fmt: skip
+def test_vehicles_are_where_airsims_environment_has_them(
+    place_m: tuple[float, float, float], expected: tuple[float, float, float]
+) -> None:
+    """On the plane that touches WGS 84 at a vehicle's home: places of AirSim's own code, altitudes to its float32."""
+    home = Settings().home
+    assert geodetic(place_m, home)[:2] == pytest.approx(expected[:2], abs=1e-9)
+    assert geodetic(place_m, home).altitude == pytest.approx(expected[2], abs=1e-3)
+    origin_m = (40.0, -30.0, 2.0)
+    aside = geodetic(tuple(a + b for a, b in zip(place_m, origin_m, strict=True)), home, origin_m)  # type: ignore[arg-type]
+    assert aside == pytest.approx(geodetic(place_m, geographic(origin_m, home)), abs=1e-9)
 
 
 @pytest.mark.parametrize(("velocity", "drivetrain", "mode", "yaw", "is_rate"), [

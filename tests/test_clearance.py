@@ -194,15 +194,33 @@ def test_the_free_time_is_to_the_nearest_of_ground_walls_and_posts(
     assert free_s == 0.0 or room_m < true_m
 
 
-def test_among_things_that_move_by_themselves_nothing_is_ever_free() -> None:
-    bodies = "<body name='{}' pos='0 0 {}'><freejoint/><geom size='.1'/></body>"
-    text = bodies.format("quadrotor", 10) + bodies.format("ball", 30)
-    model = mujoco.MjModel.from_xml_string(f"<mujoco><worldbody>{text}</worldbody></mujoco>")
+DRONE = "<body name='quadrotor' pos='0 0 10'><freejoint/><geom name='hull' size='.1'/></body>"
+POST = "<geom name='post' type='box' size='.5 .5 5' pos='30 0 5'/>"
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "free"),
+    [
+        ("<body", "<body", True),
+        ("pos='30", "solref='.05 1' friction='2 1 1' group='4' pos='30", True),
+        (POST, "<body name='ball' pos='0 0 30'><freejoint/><geom size='.1'/></body>", False),
+        ("pos='30", "margin='.5' pos='30", False),
+        ("pos='30", "gap='.5' pos='30", False),
+        ("name='hull'", "name='hull' margin='.5'", False),
+        ("</worldbody>", "</worldbody><contact><pair geom1='hull' geom2='post'/></contact>", False),
+        ("<worldbody>", "<option o_margin='.5'><flag override='enable'/></option><worldbody>", False),
+    ],
+)
+def test_where_things_move_or_act_from_afar_nothing_is_ever_free(old: str, new: str, free: bool) -> None:
+    """MuJoCo finds contacts at a distance where it is told so, and those of pairs whatever their geoms may touch."""
+    text = f"<mujoco><worldbody>{DRONE}{POST}</worldbody></mujoco>"
+    assert old in text
+    model = mujoco.MjModel.from_xml_string(text.replace(old, new))
     data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
     world = lane_world()
     world.reset()
-    assert Clearance(model, data).free_s(world.lead.parameters, world.lead.state) == 0.0
-    assert world.clearance.free_s(world.lead.parameters, world.lead.state) > 0.1
+    assert (Clearance(model, data).free_s(world.lead.parameters, world.lead.state) > 0.1) == free
 
 
 @pytest.mark.parametrize("poison", [math.nan, math.inf])

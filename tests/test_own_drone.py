@@ -136,6 +136,7 @@ def test_a_drone_of_ones_own_flies_as_in_mujoco_or_is_refused(drone: Callable[..
     ('<body name="quadrotor" gravcomp="1"', '<body name="quadrotor"', "gravcomp"),
     ('gravity="0 0 -3.7"', 'gravity="0 0 -9.80665"', 'under gravity="0 0 -9.80665"'),
     ('density="1.2"', 'timestep="0.002"', "a fluid"),
+    ('integrator="implicitfast"', 'integrator="Euler"', 'option: integrator must be "Euler"'),
     ('name="touch"', 'name="collision"', 'sensor "collision": is missing'),
     ('data="force"', 'data="found"', 'sensor "collision": is missing or another'),
     ('contype="0" conaffinity="0" type="cylinder"', 'type="cylinder"', "none of its geoms has contacts"),

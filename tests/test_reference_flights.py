@@ -51,6 +51,7 @@ T_MOVE_S = {
 CASES = ["A_hover", *T_MOVE_S]
 DRIVETRAIN = {"H2_fwdonly_vx1_vy1_6s": (1, {"is_rate": False, "yaw_or_rate": 0.0})}
 YAW_RATE = {"H1_vx1_yawrate30_6s": (0, {"is_rate": True, "yaw_or_rate": 30.0})}
+FACING = {"is_rate": False, "yaw_or_rate": 40.0}
 STRAIGHT = (0, {"is_rate": True, "yaw_or_rate": 0.0})
 
 Array = NDArray[np.float64]
@@ -136,6 +137,56 @@ def replay(world: World, case: str) -> Flight:
             api.call("moveByVelocity", (*event.velocity, T_MOVE_S[case], *options), wall_ns)
     stop()
     return Flight(np.array(states), simulation.lead.log.ticks().astype(float))
+
+
+@pytest.mark.parametrize(
+    ("calls", "way_m", "attitude"),
+    [
+        pytest.param(
+            [
+                ("setAngleRateControllerGains", [0.25] * 3, [0.0, 0.5, 0.5], [0.0] * 3),
+                ("moveByVelocity", 2, -1, -0.5, 1, 0, FACING),
+            ],
+            (0.7227, -0.3573, -0.4285),
+            (0.89936, -0.03936, -0.0301, 0.43439),
+            id="integral gains of rates",
+        ),
+        pytest.param(
+            [
+                ("setAngleRateControllerGains", [0.25] * 3, [0.1] * 3, [0.004] * 3),
+                ("moveByVelocity", 2, -1, -0.5, 1, 0, FACING),
+            ],
+            (0.7177, -0.3553, -0.5438),
+            (0.91109, -0.03854, -0.03185, 0.40916),
+            id="and derivative ones",
+        ),
+        pytest.param(
+            [
+                ("setVelocityControllerGains", [0.2, 0.2, 2.0], [0.5, 0.5, 2.0], [0.0] * 3),
+                ("moveByVelocity", 2, -1, 0, 1, *STRAIGHT),
+                ("moveByMotorPWMs", *[0.6] * 4, 0.2),
+                ("moveByVelocity", 2, -1, 0, 1, *STRAIGHT),
+            ],
+            (4.2439, -2.1103, -0.1022),
+            (0.99658, 0.0366, 0.07396, -0.00467),
+            id="motor commands begin integrals anew",
+        ),
+    ],
+)
+def test_gains_of_a_client_fly_as_in_airsim(
+    world: World, calls: list[tuple[Any, ...]], way_m: tuple[float, ...], attitude: tuple[float, ...]
+) -> None:
+    """The way and the attitude at its end are those of AirSim's own flight code, from the settled hover."""
+    simulation = Simulation(world)
+    simulation.reset(0, SETTLED_M)
+    simulation.lead.api_control = True
+    api = Api(simulation)
+    for name, *params in calls:
+        api.call(name, params, simulation.wall_ns)
+        while simulation.lead.command is not None:
+            simulation.advance_to(simulation.pacer.wall_due(world.tick + 1))
+    assert world.lead.state["position"] - SETTLED_M == pytest.approx(way_m, abs=1e-3)
+    assert world.lead.state["quaternion"] == pytest.approx(attitude, abs=2e-4)
 
 
 def start_at_rest(world: World) -> None:

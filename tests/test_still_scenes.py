@@ -24,7 +24,7 @@ from uavaccel.kernels import casting, tiles
 from uavaccel.kernels import scene as at
 from uavaccel.kernels.appearance import read_looks
 from uavaccel.kernels.bodies import read_scene, read_surroundings, visible
-from uavaccel.kernels.fields import HALF_HEIGHT, HALF_WIDTH
+from uavaccel.kernels.fields import EMISSION, HALF_HEIGHT, HALF_WIDTH
 from uavaccel.kernels.scene import Scene
 from uavaccel.kernels.scene_touching import NOTHING, above_ground, deepest_shape, nearest_shape
 from uavaccel.resources import asset
@@ -84,8 +84,9 @@ def test_rays_meet_what_mujocos_rays_meet(kind: str) -> None:
     model = mujoco.MjModel.from_xml_string(clutter(3, KINDS if kind == "all" else [kind, "sphere"]))
     scene, data, random = read_scene(model, seen=True), kinematic(model), np.random.default_rng(5)
     others = 0
-    for _ in range(8):
-        origin = np.array([*random.uniform(-12, 12, 2), random.uniform(1.5, 7.0)], np.float32)
+    for number in range(8):
+        heights = (-7.0, -4.0) if kind == "hfield" and number % 2 else (1.5, 7.0)  # it is seen from below, too
+        origin = np.array([*random.uniform(-12, 12, 2), random.uniform(*heights)], np.float32)
         rays = random.normal(size=(1000, 3)) * (1.0, 1.0, 0.5)
         rays = (rays / np.linalg.norm(rays, axis=1, keepdims=True)).astype(np.float32)
         distances, items = np.zeros(1000, np.float32), np.zeros(1000, np.int64)
@@ -329,6 +330,19 @@ def test_a_sun_in_a_turned_body_shines_from_there() -> None:
     np.testing.assert_allclose(light[6:], -expected, atol=1e-6)
     with pytest.raises(UserError, match="a sun that stands still"):
         read_looks(own_world(POST, DRONE.replace("<camera", SUN + "<camera"), LOOKS), (64, 36), depth=False)
+
+
+def test_what_glows_by_its_material_glows_in_every_shape() -> None:
+    """Shapes but planes and boxes have their texture's mean as their colour, and their material's emission as it is."""
+    rest = LOOKS.replace('name="tiles"', 'name="tiles" emission="0.5" rgba="1 0.5 0 1"')
+    things = POST + '<geom name="ball" size="1" material="tiles"/><geom name="bare" size="1" rgba="1 0 0 1"/>'
+    model = own_world(SUN + things, rest=rest)
+    looks, rows = read_looks(model, (64, 36), depth=False), read_scene(model, seen=True).shapes[0]
+    seen = {model.geom(int(row[at.GEOM])).name: row for row in rows}
+    assert int(seen["bare"][at.MATERIAL]) == -1
+    assert looks.materials[int(seen["ball"][at.MATERIAL]), EMISSION] == 0.5
+    mean = np.mean(model.tex_data[-8 * 8 * 3 :].reshape(-1, 3), axis=0) / 255
+    np.testing.assert_allclose(seen["ball"][at.RGB : at.DATA], mean * (1.0, 0.5, 0.0), rtol=1e-6)
 
 
 def test_what_its_material_makes_invisible_is_not_seen() -> None:

@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from uavaccel import units
 from uavaccel.errors import UserError
-from uavaccel.sim.earth import GeoPoint, geographic, local
+from uavaccel.sim.earth import GeoPoint, geodetic, local
 from uavaccel.sim.poses import Pose, from_degrees
 from uavaccel.units import euler_from_quaternion
 from uavaccel.wire import rpc
@@ -137,7 +137,7 @@ def test_angles_are_turned_by_yaw_pitch_roll(roll: float, pitch: float, yaw: flo
 @given(st.floats(-80.0, 80.0), st.floats(-179.0, 179.0), st.tuples(metres, metres, metres))
 def test_places_around_any_home_come_back(latitude: float, longitude: float, place: tuple[float, float, float]) -> None:
     home = GeoPoint(latitude, longitude, 100.0)
-    assert local(geographic(place, home), home) == pytest.approx(place, abs=1e-4)
+    assert local(geodetic(place, home), home) == pytest.approx(place, abs=1e-4)
 
 
 @given(arrays(np.float32, st.integers(0, 300), elements=st.floats(width=32)), st.text(), st.binary())

@@ -88,7 +88,7 @@ def test_a_placed_one_has_heading_home_sight_and_ground_of_its_own() -> None:
     api = fleet(A={}, B={"X": -20, "Y": 10, "Z": -1, "Yaw": 90})
     assert call(api, "simGetVehiclePose", "B")["orientation"]["z_val"] == pytest.approx(0.5**0.5)
     gps = call(api, "getMultirotorState", "B")["gps_location"]
-    assert list(call(api, "getHomeGeoPoint", "B").values()) == pytest.approx(list(gps.values()), abs=1e-9)
+    assert list(call(api, "getHomeGeoPoint", "B").values()) == pytest.approx(list(gps.values()), abs=1e-8)
     assert call(api, "simTestLineOfSightToPoint", point(-20.0, 10.0, -20.0), "B")
     api.simulation.settle(api.simulation.wall_ns)
     assert call(api, "simGetCollisionInfo", "B")["collision_count"] == 0, "it stands from the beginning"

@@ -113,7 +113,7 @@ def _rows(model: mujoco.MjModel, data: mujoco.MjData, geoms: NDArray[np.int64]) 
     rows[:, at.AXES : at.HALF] = data.geom_xmat[geoms]
     flat = np.isin(rows[:, at.KIND], (at.PLANE, at.BOX))
     rows[:, at.RGB : at.DATA], rows[:, at.GEOM] = _colours(model, geoms, flat), geoms
-    rows[:, at.MATERIAL] = np.where(flat, model.geom_matid[geoms], -1)
+    rows[:, at.MATERIAL] = model.geom_matid[geoms]
     rows[:, at.DATA] = model.geom_dataid[geoms]
     kinds, sizes = rows[:, at.KIND], model.geom_size[geoms]
     half = sizes.copy()

@@ -301,10 +301,10 @@ def slope(scene: Scene, shape: Shape, p: Vector) -> Vector:
     wide, high = steps_of(shape)
     x, y = p[0] + shape[at.HALF], p[1] + shape[at.HALF + 1]
     column, row = cell_at(x, wide, int(shape[at.COUNT]) - 1), cell_at(y, high, int(shape[at.LINES]) - 1)
-    below = height_at(scene, shape, p[0], p[1]) - p[2]
+    below, above = height_at(scene, shape, p[0], p[1]) - p[2], p[2] + shape[at.BASE]
     to_x, to_y = shape[at.HALF] - abs(p[0]), shape[at.HALF + 1] - abs(p[1])
-    if below > max(min(to_x, to_y), ZERO):
-        if p[2] + shape[at.BASE] < min(to_x, to_y):
+    if below > max(min(above, to_x, to_y), ZERO):
+        if above < min(to_x, to_y):
             return ZERO, ZERO, -ONE
         return (p[0], ZERO, ZERO) if to_x < to_y else (ZERO, p[1], ZERO)
     u, v = x / wide - np.float32(column), y / high - np.float32(row)
@@ -504,7 +504,9 @@ def colour_of(scene: Scene, world: int, looks: Looks, eye: Eye, pixel: Any, size
     shape, point = scene.shapes[world, item], along(eye[0], ray, distance)
     material = int(shape[at.MATERIAL])
     red, green, blue = shade(shape, looks, normal_at(scene, world, item, point, ray), material)
-    if material < 0 or looks.materials[material, TEXTURE_ID] <= ZERO:
+    kind = int(shape[at.KIND])
+    flat = kind == PLANE or kind == at.BOX
+    if not flat or material < 0 or looks.materials[material, TEXTURE_ID] <= ZERO:
         return lit(WHITE, red, green, blue)
     return lit(np.int32(texel_of(shape, looks, material, point, eye, pixel, size)), red, green, blue)
 

@@ -40,7 +40,7 @@ from uavaccel.sim.clutter import DRAWS, GAP, keep_gaps, sample_shape
 from uavaccel.sim.parts import save_apart, times
 from uavaccel.sim.pcg64 import STREAM_FIELDS, advance
 from uavaccel.sim.vehicle.hotloop import sources, stamped
-from uavaccel.sim.vehicle.quadrotor import FLIGHT_DTYPE, PARAMETERS_DTYPE
+from uavaccel.sim.vehicle.quadrotor import FLIGHT_DTYPE, PARAMETERS_DTYPE, PID_LEVELS
 
 FLYING_THREADS = 32  # per thread block
 FLYING_WARPS = 2  # per multiprocessor: a quarter of its registers, which leaves the rest to the learner
@@ -172,7 +172,7 @@ def store_flight(lane, watch, state, pose, motion, now):  # type: ignore[no-unty
     """
     now.watch[lane, NEXT_CHECK], now.watch[lane, TOUCHED] = watch[NEXT_CHECK], watch[TOUCHED]
     stored, body = now.state[lane], now.body[lane]
-    for field in range(9):  # unused by the kernel: reread here, so that they occupy no registers in between
+    for field in range(3 * PID_LEVELS):  # unused by the kernel: reread here, so as to occupy no registers in between
         state[0].pid_integral[field], state[0].pid_error[field] = (stored.pid_integral[field], stored.pid_error[field])
     for field in range(4):
         state[0].pid_mode[field] = stored.pid_mode[field]

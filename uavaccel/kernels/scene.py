@@ -33,7 +33,7 @@ HALF = 15  # half sizes: of a round shape radius, radius, half length; of a PLAN
 RGB = 18  # 0 to 1; without a texture that is seen
 DATA, COUNT, LINES, BASE = 21, 22, 23, 24  # first vertex and number of a HULL; first height, columns, rows, depth
 GEOM = 25  # the geom's index in its model
-MATERIAL = 26  # and its material's, -1 for none; of planes and boxes alone, whose textures are seen
+MATERIAL = 26  # and its material's, -1 for none; textures are seen on planes and boxes alone
 SHAPE_FIELDS = 27
 
 # A grid: a row of Scene.frame. Shapes before LOOSE are in no cell, but always considered.

@@ -1,6 +1,6 @@
 """AirSim's models of the Earth: geographic coordinates on a sphere and on an ellipsoid, atmosphere, magnetic dipole.
 
-Source: AirSim v1.8.1, EarthUtils.hpp.
+Source: AirSim v1.8.1, EarthUtils.hpp, GeodeticConverter.hpp, Environment.hpp.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uavaccel.kinematics import Vector
+from uavaccel.sim.poses import HERE
 
 RADIUS_M = 6_378_137.0
 ECCENTRICITY_SQUARED = 6.69437999014e-3  # of WGS 84
@@ -53,16 +54,26 @@ def geographic(position_m: Vector, home: GeoPoint) -> GeoPoint:
     return GeoPoint(math.degrees(there), home.longitude + math.degrees(turned), home.altitude - down)
 
 
+def geodetic(position_m: Vector, home: GeoPoint, origin_m: Vector = HERE) -> GeoPoint:
+    """Convert an NED position relative to `home` to the WGS 84 ellipsoid, as Environment does for a vehicle.
+
+    Its plane touches the ellipsoid at the vehicle's own home: at `origin_m`, NED from `home`.
+    """
+    own, curvature_m = geographic(origin_m, home), RADIUS_M
+    north, east, down = (metres - begun for metres, begun in zip(position_m, origin_m, strict=True))
+    x, y, z = (_earth_centred(own) + (north, east, -down) @ _axes(own)).tolist()
+    across, latitude = math.hypot(x, y), math.radians(own.latitude)
+    for _ in range(8):  # each leaves less than a hundredth of the error
+        curvature_m = RADIUS_M / math.sqrt(1 - ECCENTRICITY_SQUARED * math.sin(latitude) ** 2)
+        latitude = math.atan2(z + ECCENTRICITY_SQUARED * curvature_m * math.sin(latitude), across)
+    altitude = across * math.cos(latitude) + z * math.sin(latitude) - RADIUS_M**2 / curvature_m
+    return GeoPoint(math.degrees(latitude), math.degrees(math.atan2(y, x)), altitude)
+
+
 def local(point: GeoPoint, home: GeoPoint) -> Vector:
-    """Convert a point to an NED position relative to `home`: the inverse of `geographic`."""
-    here, there = math.radians(home.latitude), math.radians(point.latitude)
-    turned = math.radians(point.longitude - home.longitude)
-    north = math.cos(here) * math.sin(there) - math.sin(here) * math.cos(there) * math.cos(turned)
-    east = math.cos(there) * math.sin(turned)
-    along = math.sin(here) * math.sin(there) + math.cos(here) * math.cos(there) * math.cos(turned)
-    level = math.hypot(north, east)
-    scale = RADIUS_M * (math.atan2(level, along) / level if level else 1.0)
-    return north * scale, east * scale, home.altitude - point.altitude
+    """Convert a point to an NED position relative to `home`: the inverse of `geodetic` (geodetic2Ned)."""
+    north, east, up = (_axes(home) @ (_earth_centred(point) - _earth_centred(home))).tolist()
+    return north, east, -up
 
 
 def ned_of(point: GeoPoint, home: GeoPoint) -> Vector:
@@ -70,25 +81,28 @@ def ned_of(point: GeoPoint, home: GeoPoint) -> Vector:
 
     In AirSim's single precision, whose Earth-centred coordinates resolve half a metre.
     """
-    latitude, longitude = math.radians(home.latitude), math.radians(home.longitude)
-    level, rise = math.cos(latitude), math.sin(latitude)
-    ahead, aside = math.cos(longitude), math.sin(longitude)
-    axes = np.array(
-        [(-rise * ahead, -rise * aside, level), (-aside, ahead, 0.0), (level * ahead, level * aside, rise)], np.float32
-    )
+    axes = _axes(home).astype(np.float32)
     asked = GeoPoint(*(float(np.float32(number)) for number in point))
-    parts = axes * (_earth_centred(asked) - _earth_centred(home))
+    here = home._replace(altitude=float(np.float32(home.altitude)))
+    parts = axes * (_earth_centred(asked).astype(np.float32) - _earth_centred(here).astype(np.float32))
     north, east, up = (parts[:, 0] + parts[:, 1] + parts[:, 2]).tolist()
     return north, east, -up
 
 
-def _earth_centred(point: GeoPoint) -> NDArray[np.float32]:
+def _axes(home: GeoPoint) -> NDArray[np.float64]:
+    """Return north, east and up at a place, a row each, in the Earth's axes."""
+    latitude, longitude = math.radians(home.latitude), math.radians(home.longitude)
+    level, rise = math.cos(latitude), math.sin(latitude)
+    ahead, aside = math.cos(longitude), math.sin(longitude)
+    return np.array([(-rise * ahead, -rise * aside, level), (-aside, ahead, 0.0), (level * ahead, level * aside, rise)])
+
+
+def _earth_centred(point: GeoPoint) -> NDArray[np.float64]:
     latitude, longitude = math.radians(point.latitude), math.radians(point.longitude)
     curvature_m = RADIUS_M / math.sqrt(1 - ECCENTRICITY_SQUARED * math.sin(latitude) ** 2)
-    altitude_m = float(np.float32(point.altitude))
-    across = (curvature_m + altitude_m) * math.cos(latitude)
-    along = (curvature_m * (1 - ECCENTRICITY_SQUARED) + altitude_m) * math.sin(latitude)
-    return np.array([across * math.cos(longitude), across * math.sin(longitude), along], np.float32)
+    across = (curvature_m + point.altitude) * math.cos(latitude)
+    along = (curvature_m * (1 - ECCENTRICITY_SQUARED) + point.altitude) * math.sin(latitude)
+    return np.array([across * math.cos(longitude), across * math.sin(longitude), along])
 
 
 def atmosphere(altitude_m: float) -> Atmosphere:

@@ -68,17 +68,11 @@ def _compiled(path: Path, others: Sequence[str], airsim: bool) -> mujoco.MjModel
         for geom in quadrotor.geoms:
             geom.group = OTHERS_GROUP if geom.group == DRONE_GROUP else geom.group
         spec.attach(quadrotor, frame=spec.worldbody.add_frame(), prefix=prefix)
-    model = spec.compile()
-    if airsim:
-        park_spares(model)
-    return model
+    return compiled_for_clients(spec) if airsim else spec.compile()
 
 
 def airsim_spec(scene: Path) -> mujoco.MjSpec:
-    """Make the scene in a file for AirSim's clients; its invisible spare geoms have contacts until it is compiled.
-
-    Without them MuJoCo would omit these geoms from its trees.
-    """
+    """Make the scene in a file for AirSim's clients, for `compiled_for_clients`."""
     own = scene.with_name(f"{scene.stem}_airsim.xml")
     path = own if own.exists() else scene
     plain, spec = mujoco.MjModel.from_xml_path(str(path)), mujoco.MjSpec.from_file(str(path))
@@ -96,17 +90,44 @@ def airsim_spec(scene: Path) -> mujoco.MjSpec:
                 material.texrepeat = [repeat * times for repeat in material.texrepeat]
     box, half_m, grey = mujoco.mjtGeom.mjGEOM_BOX, [0.5, 0.5, 0.5], [0.6, 0.6, 0.6, 0.0]
     for number in range(SPARES):
-        spec.worldbody.add_geom(name=f"{SPARE}{number:02}", type=box, size=half_m, pos=PARKED_M, rgba=grey)
+        name = f"{SPARE}{number:02}"
+        spec.worldbody.add_geom(name=name, type=box, size=half_m, pos=PARKED_M, rgba=grey, contype=0, conaffinity=0)
     spec.visual.quality.numslices, spec.visual.quality.numstacks = 24, 12  # spawned spheres are round
     spec.stat.extent, spec.stat.center = plain.stat.extent, plain.stat.center
     spec.visual.map.znear, spec.visual.map.zfar = NEAR_M / plain.stat.extent, FAR_M / plain.stat.extent
     return spec
 
 
-def park_spares(model: mujoco.MjModel) -> None:
-    """Switch off the contacts of a compiled model's spare geoms."""
-    spares = [geom for geom in range(model.ngeom) if model.geom(geom).name.startswith(SPARE)]
-    model.geom_contype[spares] = model.geom_conaffinity[spares] = 0
+def compiled_for_clients(spec: mujoco.MjSpec) -> mujoco.MjModel:
+    """Compile a model whose still geoms are the world's, as objects are, and all of which can be met by rays.
+
+    MuJoCo omits geoms without contacts from its trees of boxes, outside of which it looks for nothing, unless they have
+    contacts while it compiles. A drone's looks are within its hull.
+    """
+    drone = spec.body(QUADROTOR)
+    if drone is None or not drone.bodies:  # MuJoCo would add their masses to the drone's
+        for body in spec.worldbody.bodies:
+            _name_geoms(spec, body)
+        spec.compiler.fusestatic = True
+    bare = [geom for geom in spec.geoms if not (geom.contype or geom.conaffinity)]
+    bare = [geom for geom in bare if not geom.parent.name.endswith(QUADROTOR)]
+    for geom in bare:
+        geom.contype = 1
+    model = spec.compile()
+    model.geom_contype[[geom.id for geom in bare]] = 0
+    return model
+
+
+def _name_geoms(spec: mujoco.MjSpec, body: mujoco.MjsBody) -> None:
+    """Name a body's geoms without a name, and its children's, after it, as far as these names are free."""
+    if body.name.endswith(QUADROTOR):
+        return
+    nameless = [geom for geom in body.geoms if not geom.name]
+    for number, geom in enumerate(nameless if body.name and not body.name.startswith(SPARE) else ()):
+        name = f"{body.name}_{number}" if number else body.name
+        geom.name = "" if spec.geom(name) else name
+    for child in body.bodies:
+        _name_geoms(spec, child)
 
 
 def refit_bounding_boxes(model: mujoco.MjModel, moved: Collection[int]) -> None:
@@ -179,6 +200,8 @@ def check_airframes(model: mujoco.MjModel, spec: mujoco.MjSpec, names: Sequence[
     from_geoms = spec.compiler.inertiafromgeom == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE
     if from_geoms or not spec.body(names[0]).explicitinertial:
         raise ValueError(f'body "{names[0]}": inertial is missing, and its geoms make no drone: {RIGHT}')
+    if model.opt.integrator != mujoco.mjtIntegrator.mjINT_EULER:
+        raise ValueError('option: integrator must be "Euler", with which drones are flown')
     bodies = [int(model.body(name).id) for name in names]
     turned = [_align(model, body, name) for body, name in zip(bodies, names, strict=True)]
     if any(turned):
@@ -242,8 +265,7 @@ def _align(model: mujoco.MjModel, body: int, name: str) -> bool:
 
 def _is_free(model: mujoco.MjModel, body: int) -> bool:
     """Whether MuJoCo accelerates a body, away from all others, as one free body under gravity alone."""
-    euler = model.opt.integrator == mujoco.mjtIntegrator.mjINT_EULER
-    if model.body_dofnum[body] != 6 or model.body_jntnum[body] != 1 or not euler:
+    if model.body_dofnum[body] != 6 or model.body_jntnum[body] != 1:
         return False
     data, flags = mujoco.MjData(model), model.opt.disableflags
     dofs = slice(int(model.body_dofadr[body]), int(model.body_dofadr[body]) + 6)

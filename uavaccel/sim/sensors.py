@@ -24,12 +24,12 @@ from uavaccel.sim.earth import (
     SEA_LEVEL_PA,
     GeoPoint,
     atmosphere,
-    geographic,
+    geodetic,
     magnetic_field_gauss,
     pressure_altitude_m,
 )
 from uavaccel.sim.objects import cast
-from uavaccel.sim.poses import Pose, from_degrees
+from uavaccel.sim.poses import HERE, Pose, from_degrees
 from uavaccel.units import NS_PER_S
 
 
@@ -61,6 +61,7 @@ class Truth(NamedTuple):
     since_reset_s: float
     home: GeoPoint
     body: str = "quadrotor"  # the vehicle's body in the model, through which rays pass
+    origin_m: Vector = HERE  # of its own frame, NED in the world
 
     @property
     def time_s(self) -> float:
@@ -79,7 +80,7 @@ class Truth(NamedTuple):
     @property
     def place(self) -> GeoPoint:
         """Geographic position of the vehicle."""
-        return geographic(self.kinematics.position_m, self.home)
+        return geodetic(self.kinematics.position_m, self.home, self.origin_m)
 
 
 UPDATES_PER_S = 50  # of a drift: BarometerSimpleParams' update_frequency
@@ -311,7 +312,7 @@ class Gps:
             )
         )
         fix = FIX_3D if eph <= own.eph_min3d else FIX_2D if eph <= own.eph_min2d else NO_FIX
-        place = geographic(tuple(position.tolist()), truth.home)
+        place = geodetic(tuple(position.tolist()), truth.home, truth.origin_m)
         return GpsReading(place, eph, epv, tuple((velocity - acceleration * ago_s).tolist()), fix)
 
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from uavaccel.kinematics import Vector
 from uavaccel.sim.camera.camera import Lens
-from uavaccel.sim.earth import GRAVITY_M_S2, GeoPoint, atmosphere, geographic, local
+from uavaccel.sim.earth import GRAVITY_M_S2, GeoPoint, atmosphere, geodetic, geographic, local
 from uavaccel.sim.objects import ASSETS, cast, sees
 from uavaccel.sim.poses import LONGEST_NAME, Pose
 from uavaccel.sim.scene import QUADROTOR
@@ -237,11 +237,11 @@ class WorldApi(Calls, title="World"):
     @call("simGetGroundTruthEnvironment")
     def environment(self, vehicle: VehicleName = "") -> dict[str, object]:
         """Return the environment at a vehicle, in SI units."""
-        position = self.scenery.truth(vehicle).position_m
-        place = geographic(position, self.scenery.settings.home)
+        position, own = self.scenery.truth(vehicle).position_m, self.scenery.vehicle(vehicle)
+        place = geodetic(position, self.scenery.settings.home, own.origin_m)
         air = atmosphere(place.altitude)
         return {
-            "position": types.vector_map(self.scenery.vehicle(vehicle).local(position)),
+            "position": types.vector_map(own.local(position)),
             "geo_point": types.geo_map(place),
             "gravity": types.vector_map((0.0, 0.0, GRAVITY_M_S2)),
             "air_pressure": air.pressure_pa,

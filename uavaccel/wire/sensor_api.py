@@ -50,10 +50,10 @@ DEFAULTS: dict[str, SensorSettings] = {
 
 
 class SensorApi(Calls, title="Sensors"):
-    """Calls about sensors; an empty name selects the first sensor of its kind.
+    """Calls about sensors; an empty name selects the first sensor of its kind by name.
 
-    A vehicle has the sensors of its settings, or else their defaults, or else AirSim's four (AirSimSettings.hpp,
-    createDefaultSensorSettings).
+    A vehicle has the sensors of its settings and, of other kinds, their defaults or else AirSim's four
+    (AirSimSettings.hpp, loadSensorSettings and createDefaultSensorSettings).
     """
 
     def __init__(self, scenery: Scenery) -> None:
@@ -65,10 +65,12 @@ class SensorApi(Calls, title="Sensors"):
         number, settings = self.scenery.number_of(vehicle), self.scenery.settings
         if number not in self._sensors:
             given = settings.vehicles.get(self.scenery.vehicle(vehicle).name)
-            own = given.sensors if given else None
-            chosen = next(each for each in (own, settings.default_sensors, DEFAULTS) if each is not None)
+            chosen = (given.sensors if given else None) or {}
+            defaults, kinds = settings.default_sensors, {type(each) for each in chosen.values()}
+            others = DEFAULTS if defaults is None else defaults
+            chosen = chosen | {own: each for own, each in others.items() if type(each) not in kinds}
             seed = settings.sensor_seed + number  # the noise of vehicles is independent
-            enabled = {own: sensor for own, sensor in chosen.items() if sensor.enabled}
+            enabled = {own: sensor for own, sensor in sorted(chosen.items()) if sensor.enabled}
             self._sensors[number] = {own: SENSORS[type(each)](each, seed, own) for own, each in enabled.items()}
         if not isinstance(name, str):
             raise ValueError(f"a sensor's name must be a text, not {type(name).__name__}")
@@ -86,7 +88,8 @@ class SensorApi(Calls, title="Sensors"):
             profile.tick_s,
             world.tick * profile.tick_s,
             self.scenery.settings.home,
-            self.scenery.vehicle(vehicle).body,
+            (own := self.scenery.vehicle(vehicle)).body,
+            own.origin_m,
         )
 
     def _stamp(self) -> int:

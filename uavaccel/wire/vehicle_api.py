@@ -14,7 +14,7 @@ from typing import Annotated
 
 from uavaccel.errors import UserError
 from uavaccel.kinematics import Quaternion, Vector
-from uavaccel.sim.earth import geographic
+from uavaccel.sim.earth import geodetic
 from uavaccel.sim.poses import APART_M, HERE, Pose, check_name
 from uavaccel.sim.simulation import Pilot, Simulation
 from uavaccel.sim.vehicle.vehicle import AddedVehicle, Start
@@ -115,12 +115,12 @@ class VehicleApi(Calls, title="Vehicles"):
     @call("getMultirotorState")
     def multirotor_state(self, vehicle: VehicleName = "") -> dict[str, object]:
         pilot = self.scenery.flying_pilot(vehicle)
-        kinematics = pilot.kinematics()
+        kinematics, origin_m = pilot.kinematics(), pilot.vehicle.origin_m
         position_m = pilot.vehicle.in_world(kinematics.position_m)
         return {
             "collision": no_collision(),  # AirSim never fills it here
             "kinematics_estimated": types.kinematics_map(kinematics),
-            "gps_location": types.geo_map(geographic(position_m, self.scenery.settings.home)),
+            "gps_location": types.geo_map(geodetic(position_m, self.scenery.settings.home, origin_m)),
             "timestamp": types.stamp(kinematics.time_ns),
             "landed_state": 0 if pilot.vehicle.landed else 1,
             "rc_data": rc_data_map(pilot.sticks),

@@ -28,8 +28,7 @@ TILT, TILT_RATE, MOTORS = 2, 3, 4  # modes of x, y only: roll and pitch, their r
 THROTTLE = 2  # mode of z only
 RATE, ANGLE = 0, 1  # modes of yaw
 UNSET = -1
-POSITION_LEVEL, VELOCITY_LEVEL, ANGLE_LEVEL = range(PID_LEVELS)
-YAW_SLOT = 3 * ANGLE_LEVEL + 2
+POSITION_LEVEL, VELOCITY_LEVEL, ANGLE_LEVEL, RATE_LEVEL = range(PID_LEVELS)
 NEW = 100  # added to the mode of a controller that has not been updated yet
 IDLE_THROTTLE = 0.1 / 1.5  # of an armed vehicle without a goal (Params.hpp)
 
@@ -72,7 +71,7 @@ def renew(state: Record) -> None:
 @part
 def pid_group(slot: int) -> int:
     """Return the group whose mode a controller follows: x or roll, y or pitch, z, yaw."""
-    return 3 if slot == YAW_SLOT else slot % 3
+    return 3 if slot % 3 == 2 and slot >= 3 * ANGLE_LEVEL else slot % 3
 
 
 @part
@@ -151,6 +150,16 @@ def rate_goal(parameters: Record, state: Record, axis: int, error_rad: float) ->
 
 
 @part
+def turn(parameters: Record, state: Record, axis: int, goal_rad_s: float) -> float:
+    """Return the rate controller's output for the mixer, -1 to 1, for a rate about one body axis."""
+    error = goal_rad_s - state.rate[axis]
+    output = parameters.rate_gain[axis] * error
+    if parameters.full_pid != 0:
+        output += correction(parameters, state, RATE_LEVEL, axis, error)
+    return clip(output, 1.0)
+
+
+@part
 def mix(parameters: Record, state: Record, throttle: float, roll: float, pitch: float, yaw: float) -> None:
     """Mix for a quad-X: shift commands up if one is below 0, scale them down if one is above 1 (Mixer.hpp)."""
     if throttle < parameters.min_mixed_throttle:
@@ -177,8 +186,9 @@ def control(parameters: Record, state: Record) -> None:
         state.rotor_input[:] = 0.0
         return
 
-    if state.xy_mode == MOTORS:
+    if state.xy_mode == MOTORS:  # whatever flies next has new controllers
         state.z_integral_mode = THROTTLE
+        state.pid_mode[:] = UNSET
         for rotor in range(4):
             state.rotor_input[rotor] = min(max(state.goal[rotor], 0.0), 1.0)
         return
@@ -214,15 +224,8 @@ def control(parameters: Record, state: Record) -> None:
         yaw = math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
         r_goal = rate_goal(parameters, state, 2, shortest_turn(state.goal[3], yaw))
 
-    gain = parameters.rate_gain
-    mix(
-        parameters,
-        state,
-        throttle,
-        clip(gain[0] * (p_goal - state.rate[0]), 1.0),
-        clip(gain[1] * (q_goal - state.rate[1]), 1.0),
-        clip(gain[2] * (r_goal - state.rate[2]), 1.0),
-    )
+    roll_out, pitch_out = turn(parameters, state, 0, p_goal), turn(parameters, state, 1, q_goal)
+    mix(parameters, state, throttle, roll_out, pitch_out, turn(parameters, state, 2, r_goal))
 
 
 def settle(parameters_of: NDArray[np.void], flight: NDArray[np.void]) -> None:

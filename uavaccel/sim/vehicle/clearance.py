@@ -39,7 +39,8 @@ class Clearance:
         # views, which MuJoCo makes anew at each access
         self._qpos = data.qpos
         self._places = model.geom_type, data.geom_xpos, data.geom_xmat, model.geom_aabb
-        self.alone = model.nbody == 2  # the world and the vehicle: nothing else moves
+        # the world and the vehicle, so that nothing else moves, and nothing acts before it is touched
+        self.alone = model.nbody == 2 and not _acts_from_afar(model, touching)
         self._with_contacts = int(model.opt.disableflags)
         self._without_contacts = self._with_contacts | int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
         self._next_check_tick = 0
@@ -81,6 +82,12 @@ class Clearance:
         gap_m = distance_m - self._radius_m - MARGIN_M
         craft = tuple(parameters[name] for name in ("max_thrust_n", "drag_factor_m2", "mass_kg", "gravity_m_s2"))
         return float(_free_s(gap_m, state["velocity"], state["wind"], *craft))
+
+
+def _acts_from_afar(model: mujoco.MjModel, touching: NDArray[np.bool_]) -> bool:
+    """Return whether a model has contacts of margins, gaps, pairs of its own or overrides, not of its geoms alone."""
+    overridden = model.opt.enableflags & mujoco.mjtEnableBit.mjENBL_OVERRIDE
+    return bool(model.npair or overridden or (model.geom_margin + model.geom_gap)[touching].any())
 
 
 @part

@@ -20,7 +20,7 @@ Record: TypeAlias = Any  # one element of a structured array, which numba knows 
 ROTORS = 4
 NEVER = np.iinfo(np.int64).max
 
-PID_LEVELS = 3  # position, velocity, angle: each with three axes
+PID_LEVELS = 4  # position, velocity, angle, rate: each with three axes
 
 KINEMATICS = 3 + 4 + 3 + 3 + 3 + 3
 

@@ -72,7 +72,7 @@ GAINS = (
     *("position_gain", "velocity_gain", "z_integral_gain", "angle_gain", "rate_gain"),
     *("full_pid", "integral_gain", "derivative_gain"),
 )
-PID_LEVEL = {"position": autopilot.POSITION_LEVEL, "velocity": autopilot.VELOCITY_LEVEL, "angle": autopilot.ANGLE_LEVEL}
+PID_NAMES = ("position", "velocity", "angle", "rate")  # of the cascade's levels
 
 
 @dataclass(frozen=True)
@@ -234,13 +234,12 @@ class Vehicle:
     def set_gains(self, level: str, kp: Vector, ki: Vector, kd: Vector) -> None:
         """Set the gains of three axes of a level of the cascade: "position", "velocity", "angle" or "rate".
 
-        The controllers are reset (Params::gains_changed). As in AirSim, rate controllers use only `kp`.
+        The controllers are reset (Params::gains_changed).
         """
         parameters = self.parameters
         parameters[f"{level}_gain"] = kp
-        if level in PID_LEVEL:
-            slots = slice(3 * PID_LEVEL[level], 3 * PID_LEVEL[level] + 3)
-            parameters["integral_gain"][slots], parameters["derivative_gain"][slots] = ki, kd
+        slots = slice(first := 3 * PID_NAMES.index(level), first + 3)
+        parameters["integral_gain"][slots], parameters["derivative_gain"][slots] = ki, kd
         if level == "velocity":  # its vertical axis has a leaky integrator of its own
             parameters["z_integral_gain"], parameters["integral_gain"][slots.stop - 1] = ki[2], 0.0
         parameters["full_pid"] = parameters["integral_gain"].any() or parameters["derivative_gain"].any()
