@@ -147,6 +147,8 @@ def test_lateral_places_are_uniform_among_those_that_keep_the_gap() -> None:
 def test_a_row_that_does_not_fit_is_refused() -> None:
     with pytest.raises(UserError, match=r"difficulty\.yaml: .*need 11.4 m; the lane is 10 m wide"):
         validate(Difficulty, {"obstacles_per_row": 4, "min_gap_m": 3.0}, "difficulty.yaml")
+    with pytest.raises(UserError, match="need 10 m; the lane is 10 m wide"):
+        validate(Difficulty, {"obstacles_per_row": 3, "half_width_m": 0.5, "min_gap_m": 4.0}, "difficulty.yaml")
     assert validate(Difficulty, {"obstacles_per_row": 4, "min_gap_m": 2.5}, "difficulty.yaml")
 
 
