@@ -283,6 +283,17 @@ def test_keys_are_pressed_in_turn_each_until_it_is_noticed() -> None:
 
 
 @WITHOUT_KEYS
+def test_an_installed_module_reads_its_own_keys_unless_some_are_pressed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "keyboard.py").write_text("read_key = lambda: 'its own'")
+    monkeypatch.syspath_prepend(tmp_path)
+    for keys, read in (("", "its own"), ("w", "w")):
+        assert run_as_a_script("import keyboard\nread = keyboard.read_key()", keys=keys)["read"] == read
+        monkeypatch.delitem(sys.modules, "keyboard", raising=False)
+
+
+@WITHOUT_KEYS
 def test_each_key_has_one_number_of_its_own() -> None:
     text = """
 import pygame

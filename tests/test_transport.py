@@ -359,3 +359,4 @@ def test_a_message_is_bounded_and_many_messages_are_no_large_one() -> None:
     framer, whole = rpc.Framer(), ping(30_000) * 100
     taken = [framer.next(whole[at : at + 4096]) for at in range(0, len(whole), 4096)]
     assert [message for message in taken if message] == [ping(30_000)] * 100
+    assert len(understood(ping(30_000) * 50, [])) == 50, "1.5 MB that arrive in one piece"
