@@ -174,6 +174,7 @@ def test_a_row_that_does_not_fit_is_refused() -> None:
     with pytest.raises(UserError, match="need 10 m; the lane is 10 m wide"):
         validate(Difficulty, {"obstacles_per_row": 3, "half_width_m": 0.5, "min_gap_m": 4.0}, "difficulty.yaml")
     assert validate(Difficulty, {"obstacles_per_row": 4, "min_gap_m": 2.5}, "difficulty.yaml")
+    assert Difficulty(mass_ratio=1.5), "it can just climb"
 
 
 # --- a lane of one's own ------------------------------------------------------------------------------------------
