@@ -104,12 +104,13 @@ def test_a_stream_is_numpys_generator(entropy: int, key: int, far: int, limit: i
             seeds = np.random.SeedSequence(entropy, spawn_key=keys)
             assert part.first_word(at) == seeds.generate_state(1)[0]
             part.start(numbers, at)
-            own = np.random.Generator(np.random.PCG64(seeds))
+            bits: Any = np.random.PCG64(seeds)
+            own = np.random.Generator(bits)
             for _ in range(2):
                 assert np.array_equal(numbers, pcg64.stream_of(own))
                 assert part.unit(numbers) == own.random()
                 assert [part.below(numbers, np.uint64(limit)) for _ in range(3)] == own.integers(limit, size=3).tolist()
-                assert part.word(numbers) == own.bit_generator.random_raw()
+                assert part.word(numbers) == bits.random_raw()
                 part.advance(numbers, far)
-                own.bit_generator.advance(far)
+                bits.advance(far)
                 numbers[pcg64.HAS_HALF :] = 0  # of which NumPy knows nothing after that
