@@ -343,6 +343,10 @@ def test_patches_leave_everything_as_they_found_it() -> None:
         def named(self) -> str:
             return "base"
 
+        @staticmethod
+        def of_nobody() -> str:
+            return "nobody's"
+
     class Derived(Base):
         pass
 
@@ -354,8 +358,10 @@ def test_patches_leave_everything_as_they_found_it() -> None:
             patches.set(module, "there", value)
             patches.set(module, "missing", value)
         patches.set(Derived, "named", lambda self: "patched")
+        patches.set(Base, "of_nobody", lambda self: "patched")
         assert (module.there, module.missing, Derived().named(), undone) == (3, 3, "patched", [])
     assert (module.there, hasattr(module, "missing"), Derived().named()) == (1, False, "base")
+    assert Base().of_nobody() == "nobody's"
     assert undone == ["undone"]
 
 

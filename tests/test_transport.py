@@ -226,6 +226,9 @@ def test_replies_find_their_calls_in_any_order(ends: tuple[SocketTransport, Peer
     assert (calls[0].outcome(), calls[2].outcome()) == ("first", "third")
     with pytest.raises(rpc.RpcError, match=r"^no$"):
         calls[1].outcome()
+    calls[0].answer("", None)
+    with pytest.raises(rpc.RpcError):  # without a word
+        calls[0].outcome()
 
 
 @pytest.mark.parametrize("expected_in_ns", [None, 0, 5 * MS, 10**12])
