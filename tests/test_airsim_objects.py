@@ -48,6 +48,9 @@ def spawn(wire: AirSimWire, name: str, asset: str, at: tuple[float, float, float
 
 
 def test_names_are_numbered_and_there_is_room_again(wire: AirSimWire) -> None:
+    for name, scale in (("Cube", 0.0), ("Brick", 1.0)):  # what is refused takes no room
+        with pytest.raises(rpc.RpcError, match=r"scale must be positive|no objects with name Brick"):
+            wire.call("simSpawnObject", "box", name, pose(30.0, 30.0, -20.0), point(*[scale] * 3), False, False)
     names = ["box", "box", "box", "hut7", "hut"]
     spawned = [spawn(wire, name, "Cube", (30.0, 30.0, -20.0)) for name in names]
     assert spawned == ["box", "box1", "box2", "hut7", "hut8"]

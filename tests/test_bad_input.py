@@ -225,6 +225,8 @@ fly -> script; fly --seed -1 there.txt -> --seed; fly --seed 4294967296 there.tx
 fly --think inf there.txt -> --think; fly --think nan there.txt -> --think; fly --think -1 there.txt -> --think
 fly --until nan there.txt -> --until; fly --until inf there.txt -> --until; fly --clock 1e9 there.txt -> --clock
 fly --clock 1,inf there.txt -> --clock; fly --clock nan there.txt -> --clock; fly --clock 1,0 there.txt -> --clock
+fly --timing wall --think 0 there.txt -> --think; fly --timing wall --film there.txt -> --film
+fly --check --timing wall there.txt -> --check; fly --check --clock 1,2 there.txt -> --check
 fly --clock 1,1 there.txt -> --clock; fly --clock 1,1.0000001 there.txt -> --clock; export default --csv= -> --csv
 export default --mcap= --csv there -> --mcap; run dp1 --out= -> --out; watch --host= -> --host; train dp1 -> dp1
 train dp2 --dry-run -> dp2; train rl -> rl

@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from functools import cache
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import mujoco
 import numpy as np
@@ -186,6 +187,9 @@ def test_the_free_time_is_to_the_nearest_of_ground_walls_and_posts(
     airspeed = speed + float(np.linalg.norm(wind_m_s))
     strongest = strongest_acceleration(world.lead.parameters, airspeed)
     assert free_s == pytest.approx(clearance.time_to.py_func(room_m, speed, strongest), abs=1e-9)
+    records, of_kernels = (world.lead.parameters, world.lead.state), cast(Any, clearance.free_s.py_func)
+    fields = [SimpleNamespace(**{name: record[name] for name in record.dtype.names or ()}) for record in records]
+    assert of_kernels(*fields, room_m) == pytest.approx(free_s, abs=1e-9), "as kernels compute it"
     hull = world.model.geom("quadrotor_hull").id
     true_m = min(
         mujoco.mj_geomDistance(world.model, world.data, hull, geom, 70.0, None)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -19,7 +19,7 @@ from uavaccel.errors import UserError
 from uavaccel.fly import command
 from uavaccel.fly.command import FlightResult, FlyRequest, _wait, check, fly_script
 from uavaccel.fly.log import DifferenceError, filming, write_trajectory
-from uavaccel.fly.options import FlightOptions, FlightSummary, found_settings
+from uavaccel.fly.options import DIFFERENCE, SUMMARY, FlightOptions, FlightSummary, found_settings
 
 FLOWN: FlightSummary = {
     "simulated_s": 8.0, "wall_s": 0.5, "position_m": [1.0, -2.0, -10.126], "calls": 7, "finished": True,
@@ -190,6 +190,18 @@ def test_a_folder_is_taken_that_is_new_or_empty(asked: FlyRequest, monkeypatch: 
     (asked.out / "flight.json").write_text("{}")
     with pytest.raises(UserError, match=r"out: is there already; choose another --out"):
         fly_script(asked)
+
+
+def test_a_flight_is_told_by_its_own_files_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Whatever an earlier one in the same folder has left."""
+    for name in (SUMMARY, DIFFERENCE):
+        (tmp_path / name).write_text("{}")
+    ended = SimpleNamespace(pid=0, poll=lambda: 0, kill=lambda: None)
+    monkeypatch.setattr(command, "start_python", lambda *_, **__: nullcontext(ended))
+    assert command.fly(FlightOptions(tmp_path / "script.py", (), tmp_path)) == FlightResult(0, None)
+    assert "the script ended its process by itself; its flight was not kept" in capsys.readouterr().err
 
 
 def test_a_process_ended_by_a_signal_has_a_shells_status_and_a_line(capsys: pytest.CaptureFixture[str]) -> None:

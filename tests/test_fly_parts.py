@@ -11,21 +11,24 @@ import sys
 import sysconfig
 import threading
 from contextlib import nullcontext
+from functools import partial
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
 from gymnasium import spaces
 
+from uavaccel.clock import VirtualClock
 from uavaccel.fly import environment, process, simulated, wall
 from uavaccel.fly.environment import supply_windows
 from uavaccel.fly.keys import Hooks, Keyboard
 from uavaccel.fly.log import MESSAGES, DifferenceError, MessageLog
 from uavaccel.fly.modules import Patches, named_module, of_a_script
 from uavaccel.fly.options import SUMMARY, FlightOptions
-from uavaccel.fly.script import ScriptResult, run_script
+from uavaccel.fly.script import FlightOver, ScriptResult, run_script
+from uavaccel.wire.rpc import Future, RpcError
 
 # --- the process -----------------------------------------------------------------------------------------------------
 
@@ -156,6 +159,42 @@ def test_calls_and_answers_are_logged_with_their_times(tmp_path: Path) -> None:
         {"answer": 2, "wall_ns": 70, "error": "refused"},
     ]
     assert log.calls == 2
+
+
+def test_in_wall_time_an_answer_is_logged_when_it_has_come(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Not when it is asked for; and a flight that is over, or whose server has gone, takes no call."""
+    clock, over = VirtualClock(), threading.Event()
+
+    def arrive(future: Future) -> None:
+        clock.charge(5)
+        future.answer("no" if future.method == "refused" else None, future.method)
+
+    server: Any = SimpleNamespace(call_async=lambda method, *params: Future(method, arrive))
+    monkeypatch.setattr(wall, "SocketConnection", lambda *address: server)
+    monkeypatch.setattr(wall, "MonotonicClock", lambda: clock)
+    log, watch = MessageLog(tmp_path), SimpleNamespace(lost="", is_lost_soon=lambda: True)
+    clock.charge(1000)
+    connection = wall.LoggedConnection(1, 1.0, log, cast(Any, watch), over)
+    clock.charge(30)
+    sent = connection.call_async("ping", 1.5)
+    clock.charge(10)
+    assert sent.get() == "ping"
+    with pytest.raises(RpcError, match="no"):
+        connection.call("refused")
+    server.call_async = lambda *call: (_ for _ in ()).throw(ConnectionError())
+    with pytest.raises(FlightOver):
+        connection.call_async("late")
+    over.set()
+    with pytest.raises(FlightOver):
+        sent.wait(sent)
+    log.close()
+    assert [json.loads(line) for line in (tmp_path / MESSAGES).read_text().splitlines()] == [
+        {"call": 1, "wall_ns": 30, "time_ns": None, "method": "ping", "params": [1.5]},
+        {"answer": 1, "wall_ns": 45, "result": "ping"},
+        {"call": 2, "wall_ns": 45, "time_ns": None, "method": "refused", "params": []},
+        {"answer": 2, "wall_ns": 50, "error": "no"},
+        {"call": 3, "wall_ns": 50, "time_ns": None, "method": "late", "params": []},
+    ]
 
 
 @pytest.mark.parametrize(
@@ -304,6 +343,10 @@ def test_patches_leave_everything_as_they_found_it() -> None:
         def named(self) -> str:
             return "base"
 
+        @staticmethod
+        def of_nobody() -> str:
+            return "nobody's"
+
     class Derived(Base):
         pass
 
@@ -315,8 +358,10 @@ def test_patches_leave_everything_as_they_found_it() -> None:
             patches.set(module, "there", value)
             patches.set(module, "missing", value)
         patches.set(Derived, "named", lambda self: "patched")
+        patches.set(Base, "of_nobody", lambda self: "patched")
         assert (module.there, module.missing, Derived().named(), undone) == (3, 3, "patched", [])
     assert (module.there, hasattr(module, "missing"), Derived().named()) == (1, False, "base")
+    assert Base().of_nobody() == "nobody's"
     assert undone == ["undone"]
 
 
@@ -346,11 +391,27 @@ def test_a_window_waits_in_milliseconds_and_a_hook_hears_of_every_key() -> None:
         supply_windows(patches, cv2, Keyboard(passed_s.append, lambda: sum(passed_s)))
         assert cv2.waitKey(30) == -1
     assert sum(passed_s) == pytest.approx(0.03)
-    hooks = Hooks(Keyboard(passed_s.append, lambda: sum(passed_s), ["a", "esc"]))
 
-    def hear(event: Any) -> None:
-        heard.append(f"{event.name} {event.event_type}")
+    class Later:
+        """A thread that runs when somebody waits for it."""
 
-    hooks.hook(hear)
+        def __init__(self, target: Any, daemon: bool) -> None:
+            self.start, self.join = lambda: None, target
+
+    thread: Any = Later
+    hooks = Hooks(Keyboard(passed_s.append, lambda: sum(passed_s), ["a", "esc"], thread))
+
+    def hear(who: str, event: Any) -> None:
+        heard.append(f"{who}: {event.name} {event.event_type}")
+
+    for name in ("hook", "on_press", "on_release"):
+        getattr(hooks, name)(partial(hear, name))
+    for name in ("on_press_key", "on_release_key"):
+        getattr(hooks, name)("escape", partial(hear, name))
+    hooks.add_hotkey("a", lambda *words: heard.append(" ".join(words)), ("hot", "key"))
     hooks.wait()
-    assert heard == ["a down", "a up", "esc down", "esc up"]
+    assert heard == [
+        *("hook: a down", "on_press: a down", "hot key", "hook: a up", "on_release: a up"),
+        *("hook: esc down", "on_press: esc down", "on_press_key: esc down"),
+        *("hook: esc up", "on_release: esc up", "on_release_key: esc up"),
+    ]

@@ -325,7 +325,7 @@ def quotient(s: Script, units: float) -> float:
 @program
 def pools(s: Script) -> None:
     wait = partial(quotient, s)
-    with s.shared.pool(3, s.say, ("begun",)) as pool:
+    with s.shared.pool(processes=3, initializer=s.say, initargs=("begun",)) as pool:
         s.ask(partial(pool.map, wait, (5, 1, 3)), lambda: list(pool.imap(wait, (5, 1, 3))))
         s.ask(lambda: list(pool.imap_unordered(wait, (5, 1, 3))), partial(pool.starmap, pow, [(2, 3), (3, 2)]))
         s.ask(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections import Counter
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from tests.lanes import free_distance_m
 from uavaccel.config import load_yaml, validate
@@ -27,6 +29,7 @@ from uavaccel.sim.lane import (
     LaneLayout,
     Split,
     clearance_m,
+    is_walled_off,
     lane_seed,
     layout_from,
     parse_lane,
@@ -144,10 +147,34 @@ def test_lateral_places_are_uniform_among_those_that_keep_the_gap() -> None:
     assert abs(np.corrcoef(slack[:, 0, 1], slack[:, 1, 1])[0, 1]) < 0.1
 
 
+def test_a_lane_is_walled_off_where_no_way_leads_through() -> None:
+    """By filling a grid of places where the hull is free, with 5 cm more or less of room."""
+    rng, found = np.random.default_rng(0), Counter[bool]()
+    places = np.stack(np.meshgrid(np.linspace(8, 14, 121), np.linspace(-5, 5, 201), indexing="ij"), axis=-1)
+    for count in (5, 6, 7) * 10:
+        layout = dataclasses.replace(
+            layout_from({"obstacles": []}, "test"),
+            x_m=rng.uniform(10, 10.6, count),
+            y_m=(np.arange(count) + rng.uniform(0, 1, count)) * (10 / count) - 5,
+            half_width_m=rng.uniform(0.6, 1.2, count),
+            round=rng.random(count) < 0.5,
+        )
+        room_m = clearance_m(layout, places.reshape(-1, 2)).reshape(places.shape[:2])
+        ways = [ndimage.label(room_m > margin_m)[0] for margin_m in (0.05, -0.05)]
+        surely, perhaps = (bool({*way[0]} & {*way[-1]} - {0}) for way in ways)
+        if surely == perhaps:
+            assert is_walled_off(layout) is not surely
+            found[surely] += 1
+    assert min(found[True], found[False]) > 5
+
+
 def test_a_row_that_does_not_fit_is_refused() -> None:
     with pytest.raises(UserError, match=r"difficulty\.yaml: .*need 11.4 m; the lane is 10 m wide"):
         validate(Difficulty, {"obstacles_per_row": 4, "min_gap_m": 3.0}, "difficulty.yaml")
+    with pytest.raises(UserError, match="need 10 m; the lane is 10 m wide"):
+        validate(Difficulty, {"obstacles_per_row": 3, "half_width_m": 0.5, "min_gap_m": 4.0}, "difficulty.yaml")
     assert validate(Difficulty, {"obstacles_per_row": 4, "min_gap_m": 2.5}, "difficulty.yaml")
+    assert Difficulty(mass_ratio=1.5), "it can just climb"
 
 
 # --- a lane of one's own ------------------------------------------------------------------------------------------

@@ -16,6 +16,7 @@ from uavaccel.resources import asset
 from uavaccel.sim.lane import (
     HULL_RADIUS_M,
     MAX_OBSTACLES,
+    Difficulty,
     LaneLayout,
     apply_layout,
     clearance_m,
@@ -24,6 +25,8 @@ from uavaccel.sim.lane import (
     sample_layout,
 )
 from uavaccel.sim.objects import SceneObjects
+from uavaccel.sim.profile import NATIVE
+from uavaccel.sim.vehicle.autopilot import RATE, VELOCITY, Goal
 from uavaccel.sim.world import World
 
 START = Pose((0.0, 0.0, -10.0), (0.0, 0.0, 0.0))
@@ -108,6 +111,28 @@ def test_clients_find_the_obstacles_of_a_layout_alone(lane_world: World) -> None
         lane_world.set_lane(layout)
         names = SceneObjects(lane_world).names()
         assert names == [*("ground",), *(f"obstacle_{index:02d}" for index in range(found)), "wall_east", "wall_west"]
+
+
+def test_a_lane_is_as_in_a_new_world_whatever_was_flown_there() -> None:
+    """All of MuJoCo's model, the vehicle's parameters, and the flight: nothing is left of lanes before."""
+    heavy: dict[str, Any] = {"mass_ratio": 1.3, "thrust_ratio": 1.2, "wind_m_s": 2.0}
+    used = World("lane", NATIVE)
+    for seed, difficulty in enumerate((heavy, {**heavy, "scenery": "forest", "obstacles_per_row": 1}, {}, heavy)):
+        layout, new = sample_layout(seed, Difficulty(**difficulty)), World("lane", NATIVE)
+        for world in (used, new):
+            world.set_lane(layout)
+            world.reset()
+            world.lead.set_goal(Goal((3.0, 0.0, 0.0, 0.3), VELOCITY, VELOCITY, RATE))
+            world.advance(50)
+        np.testing.assert_equal(arrays_of(used.model), arrays_of(new.model))
+        assert used.lead.parameters == new.lead.parameters
+        assert used.lead.kinematics() == new.lead.kinematics()
+
+
+def arrays_of(model: mujoco.MjModel) -> dict[str, NDArray[Any]]:
+    """All that a model has in arrays, by MuJoCo's names."""
+    found = {name: getattr(model, name) for name in dir(model)}
+    return {name: array for name, array in found.items() if isinstance(array, np.ndarray)}
 
 
 def test_too_many_obstacles_and_other_scenes_are_refused(lane_scene: Scene) -> None:

@@ -260,6 +260,9 @@ events += [(event.type == pygame.KEYUP, event.key) for event in pygame.event.get
 heard = []
 with keys.Listener(on_press=lambda key: heard.append(key), on_release=lambda key: key != keys.Key.esc) as listener:
     listener.join()
+begun, down_s = now(), []
+while not pygame.key.get_pressed()[pygame.K_q] and now() < begun + 1:
+    down_s += [now() - begun] if pygame.key.get_pressed()[pygame.K_w] else []
 hooked = []
 keyboard.on_press_key("z", lambda event: hooked.append(event.name))
 """
@@ -268,14 +271,26 @@ keyboard.on_press_key("z", lambda event: hooked.append(event.name))
 @WITHOUT_KEYS
 def test_keys_are_pressed_in_turn_each_until_it_is_noticed() -> None:
     """Each is down for 100 ms from then on, and the next one comes after 100 ms more."""
-    names = run_as_a_script(READ_KEYS, keys="c,x,a,enter,space,left,up,b,esc,y,z,Z")
+    names = run_as_a_script(READ_KEYS, keys="c,x,a,enter,space,left,up,b,esc,w,q,y,z,Z")
     assert 0.2 <= names["polled"] < 0.21
     assert names["read"] == [b"a", "\r", "space", b"\xe0", b"K"]
     up = names["pygame"].K_UP
     assert (names["events"], names["held"]) == ([(True, up), (True, up)], [True, False])
     assert [str(key) for key in names["heard"]] == ["'b'", "Key.esc"]
     assert names["heard"][0] == names["keys"].KeyCode.from_char("b")
+    assert names["down_s"][-1] - names["down_s"][0] == pytest.approx(0.1, abs=0.005)
     assert names["hooked"] == ["z"]
+
+
+@WITHOUT_KEYS
+def test_an_installed_module_reads_its_own_keys_unless_some_are_pressed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "keyboard.py").write_text("read_key = lambda: 'its own'")
+    monkeypatch.syspath_prepend(tmp_path)
+    for keys, read in (("", "its own"), ("w", "w")):
+        assert run_as_a_script("import keyboard\nread = keyboard.read_key()", keys=keys)["read"] == read
+        monkeypatch.delitem(sys.modules, "keyboard", raising=False)
 
 
 @WITHOUT_KEYS

@@ -1,10 +1,15 @@
 """Parts of compiled functions compute what numba's own functions do, within others and from Python."""
 
+from functools import cache
+from types import FunctionType, SimpleNamespace
 from typing import Any
 
 import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
 from numba import njit, types
 
+from uavaccel.sim import pcg64
 from uavaccel.sim.parts import chosen_by_types, part
 
 
@@ -74,3 +79,38 @@ def test_a_part_is_compiled_for_types_and_may_be_chosen_by_them() -> None:
     assert of_constants(3) == (-18.0, -18.0)
     specialised: Any = power
     assert len(specialised.overloads) == 2  # of real numbers and of whole ones
+
+
+# --- numbers that parts draw ------------------------------------------------------------------------------------------
+
+
+@cache
+def in_python() -> Any:
+    """The parts of pcg64 as Python runs them, each calling the others."""
+    names = dict(vars(pcg64))
+    for name, value in vars(pcg64).items():
+        if code := getattr(getattr(value, "py_func", None), "__code__", None):
+            names[name] = FunctionType(code, names)
+    return SimpleNamespace(**names)
+
+
+@given(st.integers(0, 2**64 - 1), st.integers(0, 2**32 - 1), st.integers(0, 2**70), st.integers(1, 2**32 - 1))
+def test_a_stream_is_numpys_generator(entropy: int, key: int, far: int, limit: int) -> None:
+    """From any seed, from a seed's child, and from a state that is many steps further on."""
+    part, numbers = in_python(), np.zeros(pcg64.STREAM_FIELDS, np.uint64)
+    with np.errstate(over="ignore"):
+        pool = part.pool_of(np.uint64(entropy))
+        for at, keys in ((pool, ()), (part.spawned(pool, np.uint64(key)), (key,))):
+            seeds = np.random.SeedSequence(entropy, spawn_key=keys)
+            assert part.first_word(at) == seeds.generate_state(1)[0]
+            part.start(numbers, at)
+            bits: Any = np.random.PCG64(seeds)
+            own = np.random.Generator(bits)
+            for _ in range(2):
+                assert np.array_equal(numbers, pcg64.stream_of(own))
+                assert part.unit(numbers) == own.random()
+                assert [part.below(numbers, np.uint64(limit)) for _ in range(3)] == own.integers(limit, size=3).tolist()
+                assert part.word(numbers) == bits.random_raw()
+                part.advance(numbers, far)
+                bits.advance(far)
+                numbers[pcg64.HAS_HALF :] = 0  # of which NumPy knows nothing after that

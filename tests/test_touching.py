@@ -15,6 +15,7 @@ from uavaccel.sim.poses import LEVEL
 from uavaccel.sim.profile import NATIVE
 from uavaccel.sim.simulation import Simulation
 from uavaccel.sim.vehicle.quadrotor import air_density
+from uavaccel.sim.vehicle.vehicle import Start, Vehicle
 from uavaccel.sim.world import World
 
 HULL_HALF_HEIGHT_M = 0.045  # of quadrotor.xml
@@ -141,3 +142,13 @@ def test_gains_are_restored_whichever_were_set() -> None:
     assert all((vehicle.parameters[name] != before[name]).any() for name in names)
     vehicle.restore_gains()
     assert all(np.array_equal(vehicle.parameters[name], before[name]) for name in names)
+
+
+def test_a_vehicle_has_settled_that_rests_for_a_second_on_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One that moves once more after 0.9 s is given another second, in all of which its ticks do not count."""
+    world = World("blocks", NATIVE)
+    world.lead.start = Start((0.0, 0.0, -0.045), idle=True)
+    world.reset()
+    monkeypatch.setattr(Vehicle, "landed", property(lambda vehicle: vehicle.tick not in (0, 450)))
+    world.settle()
+    assert (world.tick, round(world.data.time / NATIVE.tick_s)) == (0, 450 + 500)

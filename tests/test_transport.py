@@ -226,6 +226,9 @@ def test_replies_find_their_calls_in_any_order(ends: tuple[SocketTransport, Peer
     assert (calls[0].outcome(), calls[2].outcome()) == ("first", "third")
     with pytest.raises(rpc.RpcError, match=r"^no$"):
         calls[1].outcome()
+    calls[0].answer("", None)
+    with pytest.raises(rpc.RpcError):  # without a word
+        calls[0].outcome()
 
 
 @pytest.mark.parametrize("expected_in_ns", [None, 0, 5 * MS, 10**12])
@@ -359,3 +362,4 @@ def test_a_message_is_bounded_and_many_messages_are_no_large_one() -> None:
     framer, whole = rpc.Framer(), ping(30_000) * 100
     taken = [framer.next(whole[at : at + 4096]) for at in range(0, len(whole), 4096)]
     assert [message for message in taken if message] == [ping(30_000)] * 100
+    assert len(understood(ping(30_000) * 50, [])) == 50, "1.5 MB that arrive in one piece"

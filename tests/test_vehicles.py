@@ -169,17 +169,19 @@ def test_a_camera_sees_through_its_own_vehicle_alone() -> None:
 
 @pytest.mark.opengl
 def test_each_sees_through_its_own_cameras() -> None:
-    """Downwards, from different heights; and ahead, where one looks at the other's back."""
+    """Downwards, from different heights, or past a lowered nose; and ahead, where one looks at the other's back."""
     api = made(render=True, Vehicles={"A": {"X": 0, "Y": 0}, "B": {"X": -30, "Y": -30, "Yaw": 180}})
-    heights = {"A": 10.0, "B": 25.0}
+    heights, lowered = {"A": 10.0, "B": 25.0}, {"w_val": 0.5**0.5, "y_val": -(0.5**0.5)}
     for name, height_m in heights.items():
-        call(api, "simSetVehiclePose", pose(0.0, 0.0, 0.045 - height_m), True, name)
-        request = {"camera_name": "3", "image_type": 1, "pixels_as_float": True, "compress": False}
-        (picture,) = call(api, "simGetImages", [request], name)
-        depth_m = np.reshape(picture["image_data_float"], (144, 256))
-        np.testing.assert_allclose(depth_m[70:74, 120:136], height_m - 0.12, rtol=2e-3)
-        told = list(picture["camera_position"].values())
-        assert told == pytest.approx([0.0, 0.0, 0.045 - height_m + 0.12], abs=1e-6)
+        for camera, attitude, below_m in (("3", {}, 0.12), ("0", lowered, 0.46)):
+            call(api, "simSetVehiclePose", pose(0.0, 0.0, 0.045 - height_m, **attitude), True, name)
+            request = {"camera_name": camera, "image_type": 1, "pixels_as_float": True, "compress": False}
+            (picture,) = call(api, "simGetImages", [request], name)
+            depth_m = np.reshape(picture["image_data_float"], (144, 256))
+            np.testing.assert_allclose(depth_m[70:74, 120:136], height_m - below_m, rtol=2e-3)
+            told = list(picture["camera_position"].values())
+            assert told == pytest.approx([0.0, 0.0, 0.045 - height_m + below_m], abs=1e-6)
+    call(api, "simSetVehiclePose", pose(0.0, 0.0, 0.045 - heights["B"]), True, "B")
     call(api, "simSetVehiclePose", pose(-32.0, -30.0, 0.045 - 25.0), True, "A")  # 2 m to the south of B
     behind = decode_image(call(api, "uavaccelImage", "gray"))
     call(api, "simSetVehiclePose", pose(0.0, 0.0, -90.0), True, "B")

@@ -34,7 +34,7 @@ from uavaccel.watch.beside import page_beside
 from uavaccel.watch.page import Moment
 from uavaccel.watch.sources import Live, Told
 from uavaccel.wire.api import Api
-from uavaccel.wire.broadcast import FREE, PAGE, REFRESH_NS, heading, show_on_page
+from uavaccel.wire.broadcast import FREE, PAGE, REFRESH_NS, Broadcast, heading, show_on_page
 from uavaccel.wire.session import open_session
 
 POLL_S = 16 * 0.002  # 16 ticks, the whole number nearest to REFRESH_NS
@@ -192,6 +192,22 @@ def test_an_object_that_a_script_spawns_is_shown(feed: Live, monkeypatch: pytest
         feed.update(0.0, seen=True)
         scenes.append(feed.scene.model.geom_rgba[:, 3] if feed.scene else np.zeros(0))
     assert (scenes[1] > 0.0).sum() == (scenes[0] > 0.0).sum() + 1
+
+
+def test_a_scene_for_which_a_busy_page_has_no_room_leaves_no_file_and_is_told_later(
+    feed: Live, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("SCENE_NS", "UNSEEN_NS"):
+        monkeypatch.setattr(f"uavaccel.wire.broadcast.{name}", 0)
+    api = Api(Simulation(World("blocks", NATIVE)), render=False)
+    with monkeypatch.context() as patch:
+        patch.setattr(Broadcast, "_send", lambda *_: False)
+        show_on_page(api.simulation, may_pause=False)
+        assert [*tmp_path.glob("*.mjb")] == []
+    go_on(api, 0.1)
+    for seen in (False, True):
+        feed.update(0.0, seen=seen)
+    assert feed.scene is not None
 
 
 @pytest.mark.wall_clock

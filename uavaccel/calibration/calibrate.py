@@ -176,9 +176,6 @@ class TracingTransport(Transport):
             self.events.append(ClientEvent("return", call.method, call.channel, self.clock.now_ns()))
         return done
 
-    def close(self) -> None:
-        self._inner.close()
-
 
 class Latencies:
     """Latencies in nanoseconds by channel, from which the block `latency` is made."""
