@@ -110,9 +110,9 @@ def with_env_id(mapping: Mapping[str, Any]) -> dict[str, Any]:
     """
     task = mapping.get("task")
     keys = {"class": task} if isinstance(task, str) else dict(task) if isinstance(task, Mapping) else {}
-    name = keys.pop("class", None)
-    if name is None:
+    if "class" not in keys:
         return dict(mapping)
+    name = keys.pop("class")
     if not isinstance(name, str):
         raise UserError(f"task = {name!r}: should be the name of an environment, or a mapping of keys")
     env_id = only_task(name) if name.endswith(".py") else SHORT.get(name, name)
