@@ -137,6 +137,10 @@ def test_a_drone_of_ones_own_flies_as_in_mujoco_or_is_refused(drone: Callable[..
     ('gravity="0 0 -3.7"', 'gravity="0 0 -9.80665"', 'under gravity="0 0 -9.80665"'),
     ('density="1.2"', 'timestep="0.002"', "a fluid"),
     ('integrator="implicitfast"', 'integrator="Euler"', 'option: integrator must be "Euler"'),
+    *(
+        (f'<compiler {bound}/>\n  <option', "<option", "boundmass or boundinertia changes")
+        for bound in ('settotalmass="1"', 'boundmass="1.1"', 'boundinertia="0.1"')
+    ),
     ('name="touch"', 'name="collision"', 'sensor "collision": is missing'),
     ('data="force"', 'data="found"', 'sensor "collision": is missing or another'),
     ('contype="0" conaffinity="0" type="cylinder"', 'type="cylinder"', "none of its geoms has contacts"),

@@ -197,12 +197,10 @@ def check_airframes(model: mujoco.MjModel, spec: mujoco.MjSpec, names: Sequence[
     `spec` is that of the first one's scene. A full inertia without products is written about the body's axes in the
     model, where MuJoCo has it about axes of its own order.
     """
-    from_geoms = spec.compiler.inertiafromgeom == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE
-    if from_geoms or not spec.body(names[0]).explicitinertial:
-        raise ValueError(f'body "{names[0]}": inertial is missing, and its geoms make no drone: {RIGHT}')
+    bodies = [int(model.body(name).id) for name in names]
+    _check_masses(model, spec, names[0], bodies)
     if model.opt.integrator != mujoco.mjtIntegrator.mjINT_EULER:
         raise ValueError('option: integrator must be "Euler", with which drones are flown')
-    bodies = [int(model.body(name).id) for name in names]
     turned = [_align(model, body, name) for body, name in zip(bodies, names, strict=True)]
     if any(turned):
         mujoco.mj_setConst(model, mujoco.MjData(model))
@@ -232,6 +230,17 @@ def check_airframes(model: mujoco.MjModel, spec: mujoco.MjSpec, names: Sequence[
         )
     if len(moving := np.setdiff1d(model.dof_bodyid, bodies)):
         raise ValueError(f'body "{model.body(int(moving[0])).name}": has joints, but only drones move here')
+
+
+def _check_masses(model: mujoco.MjModel, spec: mujoco.MjSpec, name: str, bodies: Sequence[int]) -> None:
+    """Raise ValueError unless mass and moments of drones are those that their bodies give."""
+    own = spec.compiler
+    from_geoms = own.inertiafromgeom == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE
+    if from_geoms or not spec.body(name).explicitinertial:
+        raise ValueError(f'body "{name}": inertial is missing, and its geoms make no drone: {RIGHT}')
+    bounds = own.boundmass >= model.body_mass[bodies].min() or own.boundinertia >= model.body_inertia[bodies].min()
+    if own.settotalmass > 0 or bounds:
+        raise ValueError("compiler: settotalmass, boundmass or boundinertia changes the drone's own: leave them out")
 
 
 def _align(model: mujoco.MjModel, body: int, name: str) -> bool:
