@@ -372,8 +372,10 @@ def test_the_advice_rests_on_the_published_rows() -> None:
 
 
 def test_without_latency_both_fly_alike_and_with_it_adsc_is_off() -> None:
-    """A seed chooses the latencies where they differ."""
-    ideal = advise(ZERO_LATENCY, "native", 0.2, 1)
+    """A seed chooses the latencies where they differ; each flown row is told."""
+    told = list[int]()
+    ideal = advise(ZERO_LATENCY, "native", 0.2, 1, told=lambda: told.append(len(told)))
+    assert len(told) == len(ideal)
     assert set(ideal.error_m) == {0.0}
     assert of(ideal, "tcsc", "speedup") == pytest.approx(of(ideal, "tcsc", "clock_speed"))
     uneven = LatencyConfig(reply_us={"call": tuple(float(1_000 * n) for n in range(12))})

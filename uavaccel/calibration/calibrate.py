@@ -69,10 +69,18 @@ def fly_square(
     return SquareGame(trajectory(arrays["time_s"], arrays["position_m"]), gap_s, wall_s)
 
 
-def advise(latency: LatencyConfig, profile: str, t_move_s: float, rounds: int, seed: int = 0) -> pd.DataFrame:
+def advise(
+    latency: LatencyConfig,
+    profile: str,
+    t_move_s: float,
+    rounds: int,
+    seed: int = 0,
+    told: Callable[[], object] = lambda: None,
+) -> pd.DataFrame:
     """Fly the square path with `rounds` rounds, and return a row for each of ADVISED_SPEEDS and command, ADSC first.
 
-    `error_m` is the median RMSE against the flight without latency, `stlc` and `speedup` are against ADSC at 1x.
+    `error_m` is the median RMSE against the flight without latency, `stlc` and `speedup` are against ADSC at 1x. `told`
+    is called after each row.
     """
     rows: list[dict[str, Plain]] = []
     with VirtualSession("blocks", profile) as lockstep, VirtualSession("blocks", profile, latency) as session:
@@ -93,6 +101,7 @@ def advise(latency: LatencyConfig, profile: str, t_move_s: float, rounds: int, s
             errors_m, stlc = mean_position_rmse(flights, [ideal]), mean_stlc(flights, real_time)
             scores = {"error_m": np.median(errors_m), "stlc": np.median(stlc), "speedup": real_time_s / wall_s}
             rows.append({"clock_speed": clock_speed, "command": command, **scores})
+            told()
     return pd.DataFrame(rows)
 
 

@@ -70,8 +70,8 @@ def advise(
     profile: Profile = "native",
 ) -> None:
     """Say how fast ADSC may fly within an error, and a policy fly at all."""
+    from uavaccel.calibration.calibrate import ADVISED_SPEEDS, policy_sentence, sentence
     from uavaccel.calibration.calibrate import advise as advised
-    from uavaccel.calibration.calibrate import policy_sentence, sentence
     from uavaccel.config import MOST_SECONDS
     from uavaccel.sim.profile import PROFILES
     from uavaccel.wire.latency import read_latency, shipped_latency
@@ -83,7 +83,8 @@ def advise(
             raise UserError(f"{name} {seconds:g}: must be above 0 and at most {MOST_SECONDS:g} seconds")
     PROFILES[profile].check_duration(t_move, "--t-move")
     model = shipped_latency(profile) if latency is None else read_latency(latency)
-    found, rows = advised(model, profile, t_move, rounds), []
+    with working("flights", 2 * len(ADVISED_SPEEDS)) as advance:
+        found, rows = advised(model, profile, t_move, rounds, told=advance), []
     header = ("ClockSpeed", "ADSC error m", "STLC", "speed-up", "TCSC error m", "STLC", "speed-up")
     for clock, both in found.groupby("clock_speed"):
         scores = both[["error_m", "stlc", "speedup"]].to_numpy().ravel()
