@@ -158,6 +158,9 @@ def test_mistakes_in_a_reset_or_a_step_are_one_line() -> None:
             drones.reset(options={"starts_m": [[0, 0, -5], [0.1, 0, -5]]})
         with pytest.raises(UserError, match=r"NED z has to be from"):
             drones.reset(options={"starts_m": [[0, 0, 5], [4, 0, -5]]})
+        with pytest.raises(UserError, match=r"^reset: options = \[1\]: must be a mapping, of starts_m, goals_m$"):
+            drones.reset(options=[1])  # type: ignore[arg-type]
+        drones.reset(options={"starts_m": [[500, 0, -10], [500, 10, -10]]})  # as far off as any other place
         drones.reset(seed=0)
         with pytest.raises(UserError, match=r"^step: drone_1 has no action$"):
             drones.step({"drone_0": STAY})

@@ -26,7 +26,7 @@ from uavaccel.sim.camera import gl
 from uavaccel.sim.camera.camera import FRONT_CENTER, Lens
 from uavaccel.sim.camera.view import vehicle_pose
 from uavaccel.sim.flight import velocity
-from uavaccel.sim.poses import HERE, LEVEL, check_apart
+from uavaccel.sim.poses import FARTHEST_M, HERE, LEVEL, check_apart
 from uavaccel.sim.profile import PROFILES
 from uavaccel.sim.vehicle.vehicle import AddedVehicle, Start, Vehicle
 from uavaccel.sim.world import World
@@ -44,7 +44,7 @@ ALONE_WITH = {
     **dict.fromkeys(("image_noise", "dvs_shot_noise_hz", "dvs_leak_hz"), 0.0),
 }
 """Keys of other tasks that several drones do not follow, and what they have to be."""
-AWAY_M = 500.0  # from the middle: where drones are whose games are over
+AWAY_M = FARTHEST_M  # north: where drones are whose games are over, at the edge of where one may be placed
 
 
 class SwarmTask(Task):
@@ -160,6 +160,8 @@ class Swarm(ParallelEnv):  # type: ignore[misc]
         """Begin a game in which all drones hover; a seed makes it and those that follow repeatable."""
         if (seed := seed_of(seed)) is not None:
             self._random = np.random.default_rng(seed)
+        if not isinstance(options or {}, Mapping):
+            raise UserError(f"reset: options = {options!r}: must be a mapping, of {', '.join(self.task.reset_options)}")
         course = self.task.sample(self._random, options or {})
         self._place(course["starts_m"])
         self.agents = list(self.possible_agents)
