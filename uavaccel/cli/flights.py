@@ -144,6 +144,8 @@ def watch(
     from uavaccel.own_code import trusting
     from uavaccel.watch.beside import show
 
+    if case is not None and game is not None:
+        raise UsageError("--case, --game: each names the flight; give one of them")
     with trusting(trust):
         if film is None:
             show(run, case, game, (clock, think, seed), host, port)
