@@ -109,7 +109,8 @@ def test_without_successes_the_score_is_the_return_also_below_zero() -> None:
     assert (right.document["score"], right.document["holds"]["latency_s"]) == ("return", PERIOD_S)
     assert [row["success"] for row in right.rows] == [None] * 10
     with pytest.raises(UserError, match=r"^success = 'won': the last info of an episode has no such key; it has is_"):
-        certify(Count, same, success="won")
+        certify(Count, same, success="won", out="out")
+    assert certify(Count, same, [0.0], episodes=2, out="out", resume=True).rows, "nothing had been flown"
     wrong = certify(
         partial(Count, -1.0, False), lambda seen: seen - [0, 9][int(seen[0]) % 15 == 0], [0, 0.01], episodes=5
     )

@@ -429,7 +429,7 @@ class _Folder:
             self.rows = self.path / "rows.jsonl"
 
     def begin(self, setup: Mapping[str, Plain], plan: Plan) -> list[Row]:
-        """Write the setup, or compare it with that which is there, and return the rows before the first failure.
+        """Write the setup, or compare it with that of the rows there, and return these before the first failure.
 
         Raises UserError for another evaluation's folder, and for rows that are not those of the plan.
         """
@@ -442,11 +442,14 @@ class _Folder:
                 raise UserError(f"{self.path}: no evaluation of a policy, but not empty; take another folder")
             write_json(file, setup)
             return []
+        drop_cut_line(self.rows)
+        rows = read_lines(self.rows)
+        if not rows:  # nothing has been flown by it
+            write_json(file, setup)
+            return []
         begun, here = read_json(file), parse_json(to_json(setup))
         if other := [key for key in here if not isinstance(begun, dict) or begun.get(key) != here[key]]:
             raise UserError(f"{self.path}: is another evaluation: other {', '.join(other)}; take another folder")
-        drop_cut_line(self.rows)
-        rows = read_lines(self.rows)
         failed = next((place for place, row in enumerate(rows) if "error" in row), len(rows))
         there = [(row.get("latency"), row.get("seed")) for row in rows]
         numbers = [row.get(name) for row in rows[:failed] for name in ("return", "thinking_s")]
