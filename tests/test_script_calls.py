@@ -33,7 +33,7 @@ from uavaccel.fly import process, simulated
 from uavaccel.fly.keys import ROOTS, parse_keys
 from uavaccel.fly.modules import client_modules
 from uavaccel.fly.options import SUMMARY, FlightOptions
-from uavaccel.fly.script import FlightOver
+from uavaccel.fly.script import FlightOver, checked_output
 
 FILE = Path(__file__).parent / "data/scripts.txt"
 SCRIPTS = {scenario.heading: scenario for scenario in scenarios(FILE)}
@@ -116,10 +116,10 @@ def process_as_before() -> Iterator[None]:
 @pytest.mark.usefixtures("process_as_before")
 @pytest.mark.parametrize("heading", SCRIPTS)
 def test_a_script_is_as_recorded(
-    heading: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    heading: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
     scenario = SCRIPTS[heading]
-    stage = Stage(scenario.calls, capsys)
+    stage = Stage(scenario.calls, capfd)
 
     class Clock(VirtualClock):
         def __init__(self) -> None:
@@ -139,11 +139,12 @@ def test_a_script_is_as_recorded(
     asked = {"timing": "lockstep", **scenario.options}
     asked["keys"] = parse_keys(asked.get("keys"))
     before = surroundings()
-    process.fly(FlightOptions(script, ("--words", "two words"), tmp_path, **asked))
+    with checked_output():
+        process.fly(FlightOptions(script, ("--words", "two words"), tmp_path, **asked))
     after = surroundings()
     assert sorted(name for name in before.keys() | after.keys() if before.get(name) != after.get(name)) == []
     kept = json.loads((tmp_path / SUMMARY).read_text())
     stage.said[-1] += "".join([f"; {name} {kept[name]}" for name in KEPT if kept.get(name)])
-    stage.said[-1] += "".join(f"; then {text!r}" for text in capsys.readouterr() if text)
+    stage.said[-1] += "".join(f"; then {text!r}" for text in capfd.readouterr() if text)
     answers = iter(stage.said)
     assert_scenario_as_recorded(FILE, scenario, lambda line: next(answers))
