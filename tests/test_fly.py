@@ -437,7 +437,7 @@ def test_a_script_imports_our_client_and_its_own_clock(folder: Folder) -> None:
 
 
 def test_no_python_is_one_line(folder: Folder) -> None:
-    with pytest.raises(UserError, match=r"script\.py:2: not Python: "):
+    with pytest.raises(UserError, match=r"script\.py:2: not Python: invalid syntax$"):
         run_script(folder.write("import airsim\nclient = = 1\n"), ())
 
 
@@ -485,7 +485,7 @@ def test_flights_that_share_only_some_times_are_compared_at_those(tmp_path: Path
 
 
 def test_a_trajectory_is_written_as_arrays_and_as_a_table(tmp_path: Path) -> None:
-    rows, time_ns = np.arange(20.0).reshape(2, 10), np.array([0, 50_000_000])
+    rows, time_ns = np.arange(20.0).reshape(2, 10), np.array([0, 12_340_050_000_000])
     write_trajectory(tmp_path, time_ns, rows)
     with np.load(tmp_path / "trajectory.npz") as kept:
         assert kept["time_ns"].tolist() == time_ns.tolist()
@@ -500,7 +500,7 @@ def test_a_trajectory_is_written_as_arrays_and_as_a_table(tmp_path: Path) -> Non
     assert equal(tmp_path / "added", tmp_path)
     header, _, last = (tmp_path / "trajectory.csv").read_text().splitlines()
     assert dict(zip(header.split(","), map(float, last.split(",")), strict=True))["q_w"] == 13.0
-    assert last.startswith("0.05,10,11,12,")
+    assert last.startswith("12340.05,10,11,12,")
 
 
 def test_in_wall_time_the_trajectory_is_the_servers_recording(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

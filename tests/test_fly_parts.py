@@ -245,7 +245,16 @@ def test_a_flight_in_wall_time_starts_a_server_and_passes_on_warnings(
     said = b"listening on 127.0.0.1:8123: scene lane, profile airsim, ClockSpeed 2.5\nSimpleFlight hovers\n"
     said += b"warning: the machine does not keep up\nrequested 2.5x\nstopped; achieved 2.4x\n  moveOnPath: refused\n"
     started: list[Any] = []
-    server = SimpleNamespace(stdout=io.BytesIO(said), send_signal=lambda number: started.append(number.name))
+
+    class LateWords(io.BytesIO):
+        """The last ones come after the end."""
+
+        def read1(self, size: int | None = -1) -> bytes:
+            if self.tell():
+                threading.Event().wait(0.05)
+            return super().read1(len(said) - 30)
+
+    server = SimpleNamespace(stdout=LateWords(said), send_signal=lambda number: started.append(number.name))
     watch = SimpleNamespace(end=lambda: started.append("no longer watched"))
 
     def start(*command: str, **options: Any) -> Any:

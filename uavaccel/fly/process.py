@@ -14,6 +14,7 @@ import shutil
 import signal
 import sys
 import threading
+from functools import partial
 from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Any
@@ -141,6 +142,7 @@ def _seed(seed: int, patches: Patches) -> None:
         given(self, seeds.getrandbits(63) if a is None else a, version)
 
     patches.set(random.Random, "seed", seeded)
+    patches.set(random, "seed", partial(seeded, random._inst))  # the module's own, bound before
     patches.when_imported("numpy", lambda numpy: numpy.random.seed(seed))  # which scripts use
     entropy = "numpy.random.bit_generator"  # of NumPy's and Gymnasium's generators
     patches.when_imported(entropy, lambda module: patches.set(module, "randbits", seeds.getrandbits))

@@ -86,7 +86,9 @@ class ThreadModules:
         own["active_count"] = own["activeCount"] = lambda: 1 + len(turns.running)
         self.threading = changed(threading, **own)
         names = {**vars(queue), "threading": self.threading, "time": now}
-        kinds = {name: rebuilt(getattr(queue, name), names) for name in QUEUES}
+        for name in QUEUES:  # of which the first is the base of others
+            names[name] = rebuilt(getattr(queue, name), names)
+        kinds = {name: names[name] for name in QUEUES}
         kinds["SimpleQueue"] = kinds.pop("_PySimpleQueue")
         names |= kinds
         begin = {"start_new_thread": start_new_thread, "start_new": start_new_thread}
