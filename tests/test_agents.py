@@ -152,7 +152,9 @@ def test_a_model_from_elsewhere_runs_no_code() -> None:
         data = json.loads(contents["data"])
         keywords = {"filename": "sprung"}
         monitor = "<class 'stable_baselines3.common.monitor.Monitor'>"
-        data["policy_kwargs"] = {"features_extractor_class": monitor, "features_extractor_kwargs": keywords}
+        plain = "<class 'torch.nn.modules.activation.ReLU'>"
+        data["policy_kwargs"] = {"activation_fn": plain, "features_extractor_class": monitor}
+        data["policy_kwargs"]["features_extractor_kwargs"] = keywords
         contents["data"] = json.dumps(data).encode()
 
     hovering(net_arch=[8], activation_fn=th.nn.ReLU)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import re
 import signal
@@ -135,6 +136,9 @@ def test_a_calibration_file_is_replayed_and_stretched() -> None:
 
 def test_delays_in_control_periods_are_those_in_seconds() -> None:
     """Whatever the ClockSpeed, at which so many seconds of thinking are another number of periods."""
+    for other in ({"latencies": [0.01]}, {"calibration": "times.json"}):
+        with pytest.raises(UserError, match=r"^delay_steps: is given beside seconds; leave out latencies and calibr"):
+            certify(Count, same, delay_steps=[1], **other)
     steps = certify(Count, same, delay_steps=[1, 2, 3, 4], episodes=3, clock_speed=8)
     seconds = certify(Count, same, [at / 8 for at in DELAYS], episodes=3, clock_speed=8)
     without = [[{**row, "latency": None} for row in each.rows] for each in (steps, seconds)]
@@ -255,6 +259,12 @@ def test_an_evaluation_that_was_killed_ends_with_the_same_bytes() -> None:
     for folder in ("part", "whole"):
         subprocess.run([*command, folder], env=environment, check=True)
     assert contents("part") == contents("whole")
+
+
+def test_an_evaluation_ends_after_three_episodes_that_fail_from_the_start() -> None:
+    with pytest.raises(UserError, match=r"^the return of the episode is nan: 3 episodes in a row have failed; go on"):
+        certify(partial(Count, math.nan), same, [0.01], episodes=9, out="out")
+    assert len(Path("out/rows.jsonl").read_text().splitlines()) == 3
 
 
 def test_another_evaluation_does_not_go_on_in_its_folder() -> None:

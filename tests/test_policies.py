@@ -82,6 +82,29 @@ def test_a_module_of_pytorch_acts_on_batches_of_one(env: Space, kind: str) -> No
         assert env.action_space.contains(policy(seen))
 
 
+@pytest.mark.parametrize("kind", [list, tuple])
+def test_of_several_answers_of_a_module_the_first_is_the_action(kind: type[Any]) -> None:
+    class Two(th.nn.Module):
+        def forward(self, seen: th.Tensor) -> Any:
+            return kind([seen[:, :3], seen[:, 1:]])
+
+    assert load_policy(Two(), PICK)(np.array([0.1, 0.9, 0.3, 1.0])) == 2 + 1
+
+
+@pytest.mark.parametrize("number", range(7))
+def test_numbers_of_a_network_are_those_of_the_actions(number: int) -> None:
+    class Constant(th.nn.Module):
+        def forward(self, seen: th.Tensor) -> th.Tensor:
+            return th.full((len(seen), 1), number)
+
+    policy, seen = load_policy(Constant(), PICK), np.zeros(4)
+    if 2 <= number <= 4:
+        assert policy(seen) == number
+    else:
+        with pytest.raises(UserError, match=r"gives \(1,\) numbers for 1 actions"):
+            policy(seen)
+
+
 def test_an_onnx_file_acts_in_any_environment() -> None:
     for package in ("onnxscript", "onnxruntime"):
         pytest.importorskip(package)
