@@ -134,6 +134,8 @@ def test_a_script_is_as_recorded(
     monkeypatch.setattr(sys, "argv", ["script.py"])
     monkeypatch.setattr(sys, "path", ["", *sys.path])
     monkeypatch.setitem(sys.modules, "__main__", sys.modules["__main__"])
+    for name in [each for each in sys.modules if each.partition(".")[0] in ROOTS]:  # of other tests' scripts
+        monkeypatch.delitem(sys.modules, name)
     monkeypatch.setattr(threading, "excepthook", lambda event: print(event.thread.name, repr(event.exc_value)))
     (script := tmp_path / "script.py").write_text("play(globals())")
     asked = {"timing": "lockstep", **scenario.options}

@@ -274,12 +274,10 @@ class Console:
 
 
 class Events:
-    """The modules `pygame.event`, `pygame.key` and `pygame.time`."""
+    """The modules `pygame.event` and `pygame.key`."""
 
     def __init__(self, keyboard: Keyboard) -> None:
-        self._keyboard, self._begun_s = keyboard, keyboard.now_s()
-        self._held = ""
-        self.Clock = partial(Clock, keyboard)
+        self._keyboard, self._held = keyboard, ""
 
     def get(self, *kinds: object, **options: object) -> list[object]:
         self._keyboard.pass_time(POLL_S)
@@ -295,19 +293,13 @@ class Events:
     def poll(self) -> object:
         return next(iter(self.get()), Stub())
 
-    def wait(self, milliseconds: float | None = None) -> object:
-        """Wait for a key in `pygame.event`, and so many milliseconds in `pygame.time`."""
-        if milliseconds is not None:
-            return self._keyboard.pass_time(milliseconds / 1000)
-        if (key := self._keyboard.next()) is not None:
+    def wait(self, timeout: float = 0) -> object:
+        """Wait for a key, for `timeout` milliseconds or, with 0, until no more keys come."""
+        if (key := self._keyboard.next(timeout / 1000 if timeout > 0 else inf)) is not None:
             return _event("KEYDOWN", key)
-        self._keyboard.pass_time(KEY_S)
+        if timeout <= 0:
+            self._keyboard.pass_time(KEY_S)
         return Stub()
-
-    delay = wait
-
-    def get_ticks(self) -> int:
-        return round(1000 * (self._keyboard.now_s() - self._begun_s))
 
     def get_pressed(self) -> object:
         self._keyboard.pass_time(POLL_S)
@@ -329,6 +321,23 @@ class Pressed(Stub):
 
     def __getitem__(self, key: object) -> bool:
         return any(self.is_down(name) for name, number in PYGAME_KEYS.items() if number == key)
+
+
+class Time:
+    """The module `pygame.time`."""
+
+    def __init__(self, keyboard: Keyboard) -> None:
+        self._keyboard, self._begun_s = keyboard, keyboard.now_s()
+        self.Clock = partial(Clock, keyboard)
+
+    def wait(self, milliseconds: float) -> int:
+        self._keyboard.pass_time(milliseconds / 1000)
+        return int(milliseconds)
+
+    delay = wait
+
+    def get_ticks(self) -> int:
+        return round(1000 * (self._keyboard.now_s() - self._begun_s))
 
 
 class Clock:
@@ -428,6 +437,7 @@ NAMES: dict[str, Callable[[Keyboard], Mapping[str, object]]] = {
     "pygame": lambda keyboard: {"init": lambda: (0, 0), "error": type("error", (RuntimeError,), {})},
     "pygame.joystick": lambda keyboard: {"get_count": lambda: 0, "get_init": lambda: False},
     "pygame.locals": lambda keyboard: {name: _number_of(name) for name in CONSTANTS},
-    **dict.fromkeys(("pygame.event", "pygame.key", "pygame.time"), partial(_public, Events)),
+    **dict.fromkeys(("pygame.event", "pygame.key"), partial(_public, Events)),
+    "pygame.time": partial(_public, Time),
 }
 """What does something in each module, by name."""
