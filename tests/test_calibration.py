@@ -418,7 +418,7 @@ def test_commands_are_held_against_ideal_flight_and_real_time(monkeypatch: pytes
 def test_advice_is_of_the_profiles_latencies_or_ones_own(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     asked: list[Any] = []
 
-    def answer(*how: Any) -> pd.DataFrame:
+    def answer(*how: Any, told: Any) -> pd.DataFrame:
         asked.append(how)
         return advised((1.0, 0.01, 0.98, 0.001, 0.999), (50.0, 0.75, 30.0, 0.05, 45.0))
 

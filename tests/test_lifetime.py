@@ -74,11 +74,13 @@ stalls.POLL_S = 1 / 64
 if sys.argv[1] == "waits":
     stalls.GUARD_POLLS = 1 << 30
 stopped = subprocess.Popen([sys.executable, "-c", "import os, signal; os.kill(os.getpid(), signal.SIGSTOP)"])
-stalls.guard_children(lambda line: print(line, flush=True))
+said = threading.Event()
+stalls.guard_children(lambda line: (print(line, flush=True), said.set()))
 stalls.guard_children(lambda line: print("twice", flush=True))
 print(stopped.pid, flush=True)
 if sys.argv[1] != "ends":
     stopped.wait()
+    said.wait()
 else:
     while not stalls.is_stopped(stopped.pid):
         pass
