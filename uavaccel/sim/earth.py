@@ -59,14 +59,13 @@ def geodetic(position_m: Vector, home: GeoPoint, origin_m: Vector = HERE) -> Geo
 
     Its plane touches the ellipsoid at the vehicle's own home: at `origin_m`, NED from `home`.
     """
-    own, curvature_m = geographic(origin_m, home), RADIUS_M
+    own = geographic(origin_m, home)
     north, east, down = (metres - begun for metres, begun in zip(position_m, origin_m, strict=True))
     x, y, z = (_earth_centred(own) + (north, east, -down) @ _axes(own)).tolist()
     across, latitude = math.hypot(x, y), math.radians(own.latitude)
     for _ in range(8):  # each leaves less than a hundredth of the error
-        curvature_m = RADIUS_M / math.sqrt(1 - ECCENTRICITY_SQUARED * math.sin(latitude) ** 2)
-        latitude = math.atan2(z + ECCENTRICITY_SQUARED * curvature_m * math.sin(latitude), across)
-    altitude = across * math.cos(latitude) + z * math.sin(latitude) - RADIUS_M**2 / curvature_m
+        latitude = math.atan2(z + ECCENTRICITY_SQUARED * _curvature_m(latitude) * math.sin(latitude), across)
+    altitude = across * math.cos(latitude) + z * math.sin(latitude) - RADIUS_M**2 / _curvature_m(latitude)
     return GeoPoint(math.degrees(latitude), math.degrees(math.atan2(y, x)), altitude)
 
 
@@ -97,9 +96,14 @@ def _axes(home: GeoPoint) -> NDArray[np.float64]:
     return np.array([(-rise * ahead, -rise * aside, level), (-aside, ahead, 0.0), (level * ahead, level * aside, rise)])
 
 
+def _curvature_m(latitude: float) -> float:
+    """Return the ellipsoid's radius of curvature across the meridian at a latitude in radians."""
+    return RADIUS_M / math.sqrt(1 - ECCENTRICITY_SQUARED * math.sin(latitude) ** 2)
+
+
 def _earth_centred(point: GeoPoint) -> NDArray[np.float64]:
     latitude, longitude = math.radians(point.latitude), math.radians(point.longitude)
-    curvature_m = RADIUS_M / math.sqrt(1 - ECCENTRICITY_SQUARED * math.sin(latitude) ** 2)
+    curvature_m = _curvature_m(latitude)
     across = (curvature_m + point.altitude) * math.cos(latitude)
     along = (curvature_m * (1 - ECCENTRICITY_SQUARED) + point.altitude) * math.sin(latitude)
     return np.array([across * math.cos(longitude), across * math.sin(longitude), along])
