@@ -331,7 +331,8 @@ def check_algorithm(config: LearnerConfig) -> None:
     key, stored = check_options(config)
     space, memory = config.task.observation_space(), memory_bytes()
     boxes = space.spaces.values() if config.task.also_state else [space]
-    needed = stored * sum(math.prod(box.shape) * box.dtype.itemsize for box in boxes)
+    least = 4 if config.algorithm == PPO else 1  # bytes of a number: PPO keeps what its network takes
+    needed = stored * sum(math.prod(box.shape) * max(box.dtype.itemsize, least) for box in boxes)
     if memory is not None and needed > memory and config.device == "cpu":
         raise UserError(
             f"options of {config.algorithm}: {key}: "

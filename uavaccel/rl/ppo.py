@@ -14,9 +14,9 @@ to be the value of its last observation but one.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from copy import deepcopy
-from itertools import pairwise
+from itertools import chain, pairwise
 from typing import Annotated, Any, NamedTuple, TypeAlias
 
 import numpy as np
@@ -113,12 +113,16 @@ class ActorCritic(nn.Module):
         self.mean, self.value = _scaled(nn.Linear(last, actions), 0.01), _scaled(nn.Linear(last, 1), 1.0)
         self.log_deviation = nn.Parameter(th.full((actions,), math.log(options.first_deviation)))
 
-    def forward(self, seen: Parts) -> tuple[th.Tensor, th.Tensor]:
-        """Return mean actions (n, actions) and values (n,) of observations by name."""
-        looks = {name: eye(self._levels(seen[name])) for name, eye in self.eyes.items()}
-        parts = [looks[name] if name in looks else seen[name].flatten(1) for name in self.parts]
+    def forward(self, inputs: Parts) -> tuple[th.Tensor, th.Tensor]:
+        """Return mean actions (n, actions) and values (n,) for the `inputs` of observations."""
+        looks = {name: eye(inputs[name]) for name, eye in self.eyes.items()}
+        parts = [looks[name] if name in looks else inputs[name].flatten(1) for name in self.parts]
         features = self.body(th.cat(parts, 1))
         return self.mean(features), self.value(features)[:, 0]
+
+    def inputs(self, seen: Parts) -> Parts:
+        """Return observations by name as the network takes them: pictures as levels -1 to 1."""
+        return {name: self._levels(part) if name in self.eyes else part for name, part in seen.items()}
 
     def _levels(self, picture: th.Tensor) -> th.Tensor:
         """Return levels 0 to 255 as -1 to 1; faint events are amplified, and depth is told apart up to NEAR_M."""
@@ -130,7 +134,7 @@ class ActorCritic(nn.Module):
 
     def act_on(self, seen: Parts) -> th.Tensor:
         """Return the mean actions (n, actions), -1 to 1, for observations by name."""
-        clipped: th.Tensor = self(seen)[0].clamp(-1.0, 1.0)
+        clipped: th.Tensor = self(self.inputs(seen))[0].clamp(-1.0, 1.0)
         return clipped
 
     @th.no_grad()
@@ -176,9 +180,7 @@ class PPO:
         self._now: Parts = {}
         self._seen: Parts = {}
         for name, box in boxes_of(self.env.single_observation_space).items():
-            kind = th.uint8 if box.dtype == np.uint8 else th.float32
-            self._now[name] = zeros(count, *box.shape, dtype=kind)
-            self._seen[name] = zeros(steps, count, *box.shape, dtype=kind)
+            self._now[name], self._seen[name] = zeros(count, *box.shape), zeros(steps, count, *box.shape)
         self._chosen, self._action = zeros(steps, count, actions), zeros(count, actions)
         self._chances, self._values, self._rewards, self._going, self._gains, self._targets = (
             zeros(steps, count) for _ in range(6)
@@ -226,7 +228,7 @@ class PPO:
 
     def look(self, observations: Any) -> None:
         """Take the observations (environments, ...) that are to be acted on next."""
-        for name, part in parts_of(observations, self.device).items():
+        for name, part in self.policy.inputs(parts_of(observations, self.device)).items():
             self._now[name].copy_(part)
 
     def _fly(self, step: int) -> None:
@@ -357,13 +359,13 @@ class PPOTraining(Learner):
             if self.at_rest:
                 self._launch()
             self._ppo.finish()
-            games = self._games.pop()
+            tell = self._games.pop()
             if not self._on_host:
                 self.policy.load_state_dict(self._ppo.policy.state_dict())
                 self.at_rest = self.holding or self.games == self.config.games
             if not self.at_rest:
                 self._launch()
-        return games
+            return tell()
 
     def _launch(self) -> None:
         left = 1.0 - self.games / self.config.games
@@ -407,11 +409,11 @@ class HostGames(Games):
         won = np.array([info.get("final_info", info)["is_success"] for info in infos])
         return seen, rewards, terminated, truncated, {"final_info": {"is_success": won}}
 
-    def pop(self) -> list[Game]:
-        """Return the games that ended since the last call, and charge the lanes for what was learned since."""
+    def pop(self) -> Callable[[], list[Game]]:
+        """Return what tells the games that ended since the last call; charge the lanes for what was learned since."""
         self._learner.charge(self._learner.seconds_of_learning, "learning")
         ended, self._ended = self._ended, []
-        return ended
+        return lambda: ended
 
 
 class DeviceGames(Games):
@@ -438,34 +440,37 @@ class DeviceGames(Games):
     def _charge(self, duration_s: float, phase: str) -> None:
         self._lanes.charge_each(np.full(self.num_envs, round(duration_s * NS_PER_S)), phase)
 
-    def pop(self) -> list[Game]:
-        """Return the games that ended since the last call, up to the configured number, and charge as `HostGames`."""
-        learner, games = self._learner, []
+    def pop(self) -> Callable[[], list[Game]]:
+        """See `HostGames`; the games, up to the configured number, can be told when the next round is in flight."""
+        learner, ended = self._learner, []
         self._charge(learner.seconds_of_learning, "learning")
-        ends = th.stack([over for over, _, _ in self._unread]).cpu().numpy()
-        for (_, returns, infos), over in zip(self._unread, ends, strict=True):
-            told = _on_host(infos) if over.any() else {}
-            for lane in np.flatnonzero(over).tolist():
-                if learner.games < learner.config.games:
-                    info = _of_lane(told, lane) | {"host_phase_s": dict.fromkeys(PHASES, 0.0)}
-                    hit = info["collision"]
-                    info["collision"] = self._lanes.object_names[hit] if hit >= 0 else None
-                    games.append(Game(learner.games, lane, info, float(returns[lane]), None))
-                    learner.games += 1
+        for over, returns, infos in self._unread:
+            lanes = over.nonzero()[:, 0]
+            ended.append((lanes.tolist(), _of_lanes(infos, lanes), returns[lanes].tolist()))
         self._unread.clear()
         assert self._returns is not None
         learner.returns = self._returns.tolist()
+        first = learner.games
+        learner.games = min(first + sum(len(lanes) for lanes, _, _ in ended), learner.config.games)
+        numbers, games = range(first, learner.games), chain.from_iterable(zip(*step, strict=True) for step in ended)
+        return lambda: self._told(numbers, games)
+
+    def _told(self, numbers: Iterable[int], ended: Iterable[tuple[int, dict[str, Any], float]]) -> list[Game]:
+        games = []
+        for number, (lane, info, reward) in zip(numbers, ended, strict=False):
+            hit = info["collision"]
+            info["collision"] = self._lanes.object_names[hit] if hit >= 0 else None
+            info["host_phase_s"] = dict.fromkeys(PHASES, 0.0)
+            games.append(Game(number, lane, info, reward, None))
         return games
 
 
-def _on_host(info: dict[str, Any]) -> dict[str, Any]:
-    """Return the tensors of an info as arrays, without their masks."""
-    parts = {name: value for name, value in info.items() if not name.startswith("_")}
-    return {name: _on_host(part) if isinstance(part, dict) else part.cpu().numpy() for name, part in parts.items()}
-
-
-def _of_lane(info: dict[str, Any], lane: int) -> dict[str, Any]:
-    """Return the info of one lane, as plain values."""
-    return {
-        name: _of_lane(part, lane) if isinstance(part, dict) else part[lane].tolist() for name, part in info.items()
+def _of_lanes(info: dict[str, Any], lanes: th.Tensor) -> list[dict[str, Any]]:
+    """Return the infos of lanes (n,), as plain values without their masks, from those of all."""
+    columns = {
+        name: _of_lanes(part, lanes) if isinstance(part, dict) else part[lanes].tolist()
+        for name, part in info.items()
+        if not name.startswith("_")
     }
+    rows = zip(*columns.values(), strict=True) if columns else [()] * len(lanes)
+    return [dict(zip(columns, row, strict=True)) for row in rows]
