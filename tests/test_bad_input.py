@@ -201,6 +201,7 @@ evaluate straight --seed -1 -> seed; evaluate --resume --out nowhere -> nowhere;
 run --report -> run directory; run --report nowhere --games 3 -> --report; watch nowhere -> nowhere
 watch nowhere --film f.mp4 -> nowhere; watch default --film f.mp4 --case lane -> --case
 watch default --case lane-000007 --game 3 -> --case, --game: each names the flight
+watch default --seed 0 -> --seed: is of the square; watch default --film f.mp4 --port 9 -> --port: is of the page
 watch default --film f.mp4 --case lane-9999999 -> lane; watch default --film f.png -> .mp4; watch --film f.mp4 -> --film
 report nowhere -> uavaccel run --report RUN_DIR; view -> uavaccel watch RUN --film FILE; advise -> timing advise
 schema train -> uavaccel init --schema SUITE; calibrate -> uavaccel timing calibrate; init -> folder

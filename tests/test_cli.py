@@ -218,7 +218,8 @@ evaluate straight --sweep wind=0,3 --sweep light=1 --games 2 --timing virtual --
 watch default --film f.mp4
 watch run --case a --film f.mp4
 watch
-watch run --game 2 --clock 5 --think 0.5 --seed 3 --host ::1 --port 9
+watch --clock 5 --think 0.5 --seed 3
+watch run --game 2 --host ::1 --port 9
 serve
 serve --settings s.json --clock 5 --port 9 --host ::1 --profile airsim --scene lane --recordings r
 fly script.py --altitude 3 -- --film

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from uavaccel.cli.options import option, requests, shipped
+from uavaccel.cli.options import given_options, option, requests, shipped
 from uavaccel.cli.terminal import console, show_table, working
 from uavaccel.errors import UsageError, UserError
 from uavaccel.resources import experiments
@@ -51,9 +51,7 @@ def run(
         for name, about in experiments().items():
             console.print(f"{name:20}  {about}")
     elif report:
-        sources = {each.opts[0]: context.get_parameter_source(each.name or "") for each in context.command.params}
-        given = [option for option, source in sources.items() if source is not None and source.name == "COMMANDLINE"]
-        if others := [option for option in given if option not in ("names", "--report", "--trust")]:
+        if others := [name for name in given_options(context) if name not in ("names", "--report", "--trust")]:
             raise UsageError(f"--report: flies nothing; beside run directories it takes --trust alone, not {others[0]}")
         report_runs(list(map(Path, names)), request.trust)
     elif len(names) > 1:

@@ -12,7 +12,7 @@ from typing import Annotated
 
 import typer
 
-from uavaccel.cli.options import Profile, Scene, Timing, Trust, Watch, option
+from uavaccel.cli.options import Profile, Scene, Timing, Trust, Watch, given_options, option
 from uavaccel.cli.terminal import LINES, console, working
 from uavaccel.errors import UsageError
 from uavaccel.fly.options import THINK_S
@@ -113,6 +113,7 @@ def _own(script: Path, arguments: list[str], options: list[str]) -> tuple[str, .
 
 
 def watch(
+    context: typer.Context,
     run: Annotated[
         str | None,
         typer.Argument(
@@ -146,6 +147,11 @@ def watch(
 
     if case is not None and game is not None:
         raise UsageError("--case, --game: each names the flight; give one of them")
+    for name in given_options(context):
+        if name in ("--clock", "--think", "--seed") and run is not None:
+            raise UsageError(f"{name}: is of the square, which is flown without RUN")
+        if name in ("--host", "--port") and film is not None:
+            raise UsageError(f"{name}: is of the page, and --film opens none")
     with trusting(trust):
         if film is None:
             show(run, case, game, (clock, think, seed), host, port)

@@ -42,6 +42,12 @@ def option(shown: str | None, about: str, *declarations: str, **bounds: float) -
     return typer.Option(*declarations, **how, autocompletion=one_of(*words), callback=known)
 
 
+def given_options(context: typer.Context) -> list[str]:
+    """Return the names of the options and arguments that were typed."""
+    sources = {each.opts[0]: context.get_parameter_source(each.name or "") for each in context.command.params}
+    return [name for name, source in sources.items() if source is not None and source.name == "COMMANDLINE"]
+
+
 Timing = Annotated[str, option(KEYS["timing"].shown, f"{KEYS['timing'].help}.")]
 Profile = Annotated[str, option(KEYS["profile"].shown, f"{KEYS['profile'].help}.")]
 Scene = Annotated[str, option("NAME", "A scene of assets/mjcf.")]
