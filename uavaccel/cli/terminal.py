@@ -86,7 +86,7 @@ class Progress:
         self._left_s -= case.simulated_s()
         self._flown_s += row.get("sim_time_s", case.simulated_s())
         share = len(self._rows) * LINES // self._games
-        if self._console.is_terminal:
+        if not self._bar.disable:
             self._bar.update(self._task, completed=len(self._rows), description=self._text())
         elif share > self._printed:
             self._printed = share
