@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import re
 import sys
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
@@ -27,6 +28,9 @@ from uavaccel.files import read_bounded, replacing
 
 _trusted: list[tuple[Path | None, frozenset[str] | None]] = []
 """What the user has said so far: the folder beside the working directory, and the modules that may run; None: all."""
+RELATIVE = re.compile(rb"^[ \t]*from[ \t]+\.", re.MULTILINE)
+"""Begins an import from the package that a file is in."""
+
 _here: dict[Path, str] = {}
 """What was remembered in this process, which may be unable to write it down."""
 _noted: list[Path] = []
@@ -63,9 +67,11 @@ def modules_in(value: object) -> set[str]:
 
 
 def module_of(place: str) -> str:
-    """Return the module in "module:name" or, by its path, in "folder/file.py:name"."""
+    """Return the module in "module:name" or, by its path, in "folder/file.py:name"; a path from the root stays one."""
     file = place.partition(":")[0]
-    return file.removesuffix(".py").removeprefix("./").replace("/", ".") if file.endswith(".py") else file
+    if not file.endswith(".py") or file.startswith(("/", "../")):
+        return file
+    return file.removesuffix(".py").removeprefix("./").replace("/", ".")
 
 
 def trusted_folder() -> Path | None:
@@ -120,10 +126,12 @@ def own_module(name: str, where: str) -> ModuleType:
     Raises UserError, beginning with `where`, if there is none, nobody has told to run it, or it cannot be imported.
     """
     folder, files = _found(name, where)
-    file = files[-1]
+    file, place = files[-1], name
+    if place.endswith(".py"):
+        name = module_of(str(file.relative_to(folder)))
     if name in sys.modules and _imported.get(name) == file:
         return sys.modules[name]  # though its file may have changed since
-    if not is_trusted(file, _digest(files), name):
+    if not is_trusted(file, _digest(files), place):
         changed = "has changed since it was trusted" if _remembered(file) else "is code that nobody has trusted here"
         raise UserError(f"{where}: {file} {changed}: read it, then add --trust, once")
     sys.path[:] = [str(folder), *(place for place in sys.path if place != str(folder))]
@@ -222,6 +230,11 @@ def errors_named(files: Path | Sequence[Path] | None, where: str = "") -> Iterat
 
 def _found(name: str, where: str) -> tuple[Path, list[Path]]:
     """Return the folder in which a module is found, and the files that importing it runs, its own last."""
+    if name.startswith("/") and Path(name).is_file():
+        file = Path(name).resolve()
+        folder = imported_from(file)
+        if files := _files(folder, module_of(str(file.relative_to(folder)))):
+            return folder, files
     beside = (folder for folder, _ in reversed(_trusted) if folder is not None)
     folders = list(dict.fromkeys(folder.resolve() for folder in (*beside, Path.cwd())))
     for folder in folders:
@@ -234,10 +247,20 @@ def _found(name: str, where: str) -> tuple[Path, list[Path]]:
         file = _imported[name]
         return file.parents[name.count(".") + (file.name == "__init__.py")], [file]
     places = " or ".join(map(str, folders))
+    what = "file" if name.endswith(".py") else "module"
     raise UserError(
-        f"{where}: no module {name!r} in {places}: own code is looked up in the working directory and beside the "
+        f"{where}: no {what} {name!r} in {places}: own code is looked up in the working directory and beside the "
         "YAML file alone, not in what is installed"
     )
+
+
+def imported_from(file: Path) -> Path:
+    """Return the folder from which a file is imported: its own or, of one that imports relatively, its package's."""
+    folder = file.parent
+    if RELATIVE.search(read_bounded(file)):
+        while (folder / "__init__.py").is_file():
+            folder = folder.parent
+    return folder
 
 
 def _files(folder: Path, name: str) -> list[Path]:

@@ -16,9 +16,9 @@ from pathlib import Path
 
 from uavaccel.config import Config, apply_overrides, assign, load_yaml, validate
 from uavaccel.errors import UserError, suggestion
-from uavaccel.files import Plain, read_bounded
+from uavaccel.files import Plain
 from uavaccel.forms import RowForm
-from uavaccel.own_code import folder_of, look_also_in, own_class
+from uavaccel.own_code import folder_of, imported_from, look_also_in, own_class
 from uavaccel.records import RunDirectory
 from uavaccel.resources import experiment, experiments
 from uavaccel.suites.experiment import Experiment, GameRow
@@ -45,10 +45,6 @@ NAMED = re.compile(r"^task=(?=[^{\[\s]*$)")
 """Begins what sets a task by its name, which is its class: the keys of the task stay."""
 
 
-RELATIVE = re.compile(rb"^[ \t]*from[ \t]+\.", re.MULTILINE)
-"""Begins an import from the package that a file is in."""
-
-
 def read_mapping(name: str) -> tuple[dict[str, Plain], str]:
     """Return the mapping of an experiment and its name in messages: one that ships, such as "dp1", or a YAML file.
 
@@ -71,14 +67,10 @@ def read_mapping(name: str) -> tuple[dict[str, Plain], str]:
 def folder_beside(name: str) -> Path:
     """Return the folder in which own code is looked up that the YAML file, or the file of a task, `name` names.
 
-    It is that of the file or, where a task's file imports relatively and so is part of a package, the package's own.
+    It is that of the YAML file, and that from which the file of a task is imported.
     """
     file = Path(name.partition(":")[0] if is_task(name) else name).resolve()
-    folder = file.parent
-    if is_task(name) and RELATIVE.search(read_bounded(file)):
-        while (folder / "__init__.py").is_file():
-            folder = folder.parent
-    return folder
+    return imported_from(file) if is_task(name) else file.parent
 
 
 def experiments_in(config: Config) -> dict[str, Plain]:
