@@ -98,10 +98,11 @@ def test_copies_of_the_client_settings_and_loops_that_poll(folder: Folder) -> No
     documents = folder.home / "Documents" / "AirSim"
     documents.mkdir(parents=True)
     (folder.path / "settings.json").write_text(json.dumps({"editor.fontSize": 12}))  # of another program
-    (documents / "settings.json").write_text(json.dumps({"SettingsVersion": 1.2, "ClockSpeed": 3}))
+    (documents / "settings.json").write_text(json.dumps({"SettingsVersion": 1.2, "ClockSpeed": 3, "Wind": {"W": 1}}))
     done = folder.fly(text)
     named, *said, polls, how = done.stdout.splitlines()
     assert named.startswith(f"settings: {documents / 'settings.json'} (--no-settings"), done.stderr
+    assert "settings.json: without effect here: Wind.W\n" in done.stderr
     assert said == ["True None", "-10.0", "refused", "3.0", "True True"]
     assert 250 < int(polls.split()[1]) < 501, done.stderr
     assert "1 ms of thinking before each" in how
