@@ -346,7 +346,7 @@ def test_keys_are_never_pressed_where_nothing_reads_them(folder: Folder) -> None
 def test_a_script_of_airsim_1_1_flies(folder: Folder) -> None:
     text = """
         from AirSimClient import *
-        import airsim, time
+        import airsim, threading, time
         client = MultirotorClient()
         client.confirmConnection()
         client.enableApiControl(True)
@@ -360,6 +360,10 @@ def test_a_script_of_airsim_1_1_flies(folder: Folder) -> None:
         depth, scene = client.simGetImages([
             ImageRequest(0, AirSimImageType.DepthPlanner, True), ImageRequest(1, AirSimImageType.Scene)])
         print(AirSimClientBase.getPfmArray(depth).shape, airsim.ImageType.DepthPlanner, scene.width)
+        taken = []  # in another thread than the pictures before it and after it
+        threads = [threading.Thread(target=lambda: taken.append(client.simGetImage(0, 0))) for _ in range(2)]
+        [thread.start() for thread in threads], [thread.join() for thread in threads]
+        print([len(png) > 500 for png in taken])
         client.setCameraOrientation(0, AirSimClientBase.toQuaternion(0.2, 0, 0))
         pitch, roll, yaw = client.toEulerianAngle(client.getCameraInfo(0).pose.orientation)
         print(0.1 < pitch < 0.3, client.getCollisionInfo().has_collided)
@@ -368,7 +372,9 @@ def test_a_script_of_airsim_1_1_flies(folder: Folder) -> None:
     """
     done = folder.fly(text)
     assert done.returncode == 0, done.stderr
-    assert done.stdout.splitlines()[-5:-1] == ["True True", "(144, 256) 1 256", "True False", "True True"]
+    assert done.stdout.splitlines()[-6:-1] == [
+        *("True True", "(144, 256) 1 256", "[True, True]", "True False", "True True")
+    ]
 
 
 # --- settings ------------------------------------------------------------------------------------------------------

@@ -146,6 +146,24 @@ def bind(context: mujoco.GLContext) -> None:
         _in_thread.context = context
 
 
+def let_go() -> None:
+    """Leave this thread without a context, so that another one can draw with what it has drawn with."""
+    if getattr(_in_thread, "context", None) is None or forked:
+        return
+    _in_thread.context = None
+    backend = os.environ.get("MUJOCO_GL")
+    if backend == "egl":
+        from OpenGL import EGL
+
+        EGL.eglMakeCurrent(EGL.eglGetCurrentDisplay(), EGL.EGL_NO_SURFACE, EGL.EGL_NO_SURFACE, EGL.EGL_NO_CONTEXT)
+    elif backend == "osmesa":
+        from OpenGL import GL, osmesa
+
+        osmesa.OSMesaMakeCurrent(None, None, GL.GL_FLOAT, 0, 0)
+    else:
+        importlib.import_module("glfw").make_context_current(None)
+
+
 def check_process() -> None:
     """Raise UserError in a process that cannot render since its parent had rendered before the fork."""
     if forked:
