@@ -140,9 +140,18 @@ def describe_renderer() -> GlRenderer:
 
 
 def bind(context: mujoco.GLContext) -> None:
-    """Make a context current in this thread unless it is, which the driver takes 10 µs to find out."""
+    """Make a context current in this thread unless it is, which the driver takes 10 µs to find out.
+
+    Raises UserError while it is current in another one, which has not `let_go`.
+    """
     if getattr(_in_thread, "context", None) is not context:
-        context.make_current()
+        try:
+            context.make_current()
+        except Exception as error:  # several libraries, each with exceptions of its own
+            raise UserError(
+                "OpenGL draws in one thread at a time, and another one has drawn with this camera: make, step and "
+                "close an environment in one and the same thread"
+            ) from error
         _in_thread.context = context
 
 
