@@ -293,8 +293,7 @@ def refuse_other_config(path: Path, config: Config, may_grow: Collection[str]) -
 
 
 def _counts(written: str) -> str:
-    """Say what a value is of which there may be more: a whole number, or a list of names; other values are each of
-    their own."""
+    """Say whether a value is a number or a list of names, of which there may be more; others are each of their own."""
     value = json.loads(written)
     if isinstance(value, list) and all(isinstance(each, str) for each in value):
         return "names"
