@@ -13,10 +13,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.airsim_wire import AirSimWire
+from tests.clutter import clutter
 from tests.flying import point, pose
 from uavaccel.resources import asset
 from uavaccel.sim import scene
 from uavaccel.sim.objects import SceneObjects, cast, matching
+from uavaccel.sim.poses import Pose as ScenePose
 from uavaccel.sim.profile import NATIVE
 from uavaccel.sim.scene import QUADROTOR, SPARES
 from uavaccel.sim.world import World
@@ -75,7 +77,7 @@ def test_one_that_grows_is_in_the_way_and_is_hit_by_its_name(wire: AirSimWire) -
 
 
 TREES = """<mujoco><include file="quadrotor.xml"/><worldbody>
-<body name="hedge" pos="0 -3 0"><geom size="0.5 0.5 1" type="box"/><geom size="0.7" pos="0 0 1.5"/></body>
+<body name="hedge" pos="0 -3 0" mocap="true"><geom size="0.5 0.5 1" type="box"/><geom size="0.7" pos="0 0 1.5"/></body>
 <body name="tree" pos="6 0 0" euler="0 0 90"><geom name="trunk" type="cylinder" size="0.2 1" pos="0 0 1"/>
 <body euler="0 30 0"><geom name="leaves" size="1.5" pos="0 1 3" contype="0" conaffinity="0"/></body></body>
 </worldbody></mujoco>"""
@@ -107,6 +109,38 @@ def test_geoms_of_bodies_are_objects_too_and_rays_meet_them(tmp_path: Path, monk
     met = np.isfinite(hits.distance_m)
     assert {world.name_of(int(geom)) for geom in hits.geoms[met]} == set(objects.names())
     np.testing.assert_allclose(np.where(met, hits.distance_m, -1.0), expected, atol=1e-9)
+
+
+def test_what_is_moved_and_scaled_is_as_if_it_had_been_made_there(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Shapes of every kind, by the poses that MJCF gives them."""
+    (tmp_path / "clutter.xml").write_text(clutter(5, count=15))
+    monkeypatch.setattr(scene, "scene_path", lambda *_: tmp_path / "clutter.xml")
+    world, made = World("clutter", NATIVE, airsim=True), scene.airsim_spec(tmp_path / "clutter.xml")
+    objects, random, scaled = SceneObjects(world), np.random.default_rng(2), set[str]()
+    for name in objects.names():
+        geom, placed, times = made.geom(name), objects.pose(name), float(random.uniform(0.5, 1.5))
+        assert placed is not None
+        np.testing.assert_allclose(ned_to_mujoco(placed.position_m), geom.pos, atol=1e-9)
+        assert attitude_difference_rad(quaternion_ned_to_mujoco(placed.orientation_wxyz), geom.quat) < 1e-5
+        turn = random.normal(size=4)
+        there = ScenePose((*random.uniform(-6.0, 6.0, 2), -3.0), tuple((turn / np.linalg.norm(turn)).tolist()))
+        if objects.set_pose(name, there):
+            geom.pos, geom.quat = ned_to_mujoco(there.position_m), quaternion_ned_to_mujoco(there.orientation_wxyz)
+        if objects.set_scale(name, (times, times, times)):
+            geom.size = [size * times for size in geom.size]
+            scaled.add(name.split("_")[0])
+    assert scaled == {"sphere", "capsule", "ellipsoid", "cylinder", "box"}
+    model = scene.compiled_for_clients(made)
+    rays = random.normal(size=(400, 3))
+    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+    hits, expected = (
+        cast(each, mujoco.MjData(each), (0.0, 0.0, -3.0), rays, exclude=None) for each in (world.model, model)
+    )
+    np.testing.assert_allclose(hits.distance_m, expected.distance_m, atol=1e-9)
+    with pytest.raises(ValueError, match=r"^the scale of a capsule must be the same along x, y and z"):
+        objects.set_scale("capsule_1", (1.0, 1.0, 2.0))
 
 
 @pytest.mark.opengl

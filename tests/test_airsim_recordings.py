@@ -13,6 +13,8 @@ import pytest
 from tests.airsim_wire import AirSimWire
 from tests.flying import pose
 from uavaccel.errors import UserError
+from uavaccel.sim.profile import NATIVE
+from uavaccel.sim.world import World
 from uavaccel.wire import rpc
 from uavaccel.wire.types import EPOCH_NS
 
@@ -78,6 +80,29 @@ def test_after_a_reset_each_sample_has_its_images_again(tmp_path: Path) -> None:
     assert [row[-1].count(";") for row in rows] == [2] * 6
 
 
+def test_each_vehicle_is_recorded_in_its_own_frame_with_its_own_cameras(tmp_path: Path) -> None:
+    """Those that were there when the recording began; also if samples are written before their images are due."""
+    below, front = {"CameraName": "3", "VehicleName": "B"}, {"CameraName": "0", "VehicleName": "C"}
+    vehicles = {"A": {"X": 3}, "B": {"Y": 5, "Z": -2, "Yaw": 90}, "C": {"AutoCreate": False}}
+    settings = {"Vehicles": vehicles, "Recording": {"Cameras": [below, front]}}
+    wire = AirSimWire(settings, World("blocks", NATIVE, airsim=True), recordings=tmp_path)
+    wire.world.watch(50, lambda _: wire.api.scenery.recorder.keep())
+    wire.call("enableApiControl", True, "B")
+    wire.call("startRecording")
+    wire.call("moveByVelocityZ", 2.0, 0.0, -3.0, 5.0, 0, {"is_rate": True, "yaw_or_rate": 0.0}, "B")
+    wire.fly(0.4)
+    wire.call("stopRecording")
+    wire.call("simPause", True)
+    here = [wire.call("simGetVehiclePose", name)["position"].values() for name in "AB"]
+    [file] = tmp_path.glob("*/airsim_rec.txt")
+    rows = [line.split("\t") for line in file.read_text().splitlines()[1:]]
+    assert [row[0] for row in rows] == ["A", "B"] * 9
+    assert [row[-1][:22] for row in rows] == ["", "img_B_bottom_center_0_"] * 9
+    for row, place in zip(rows[-2:], here, strict=True):
+        np.testing.assert_allclose([float(value) for value in row[2:5]], list(place), rtol=1e-6, atol=1e-9)
+    assert float(rows[-1][2]) > 0.01, "B flew"
+
+
 def test_two_runs_write_the_same_bytes(tmp_path: Path) -> None:
     made = []
     for name in ("one", "other"):
@@ -114,6 +139,7 @@ def test_on_move_what_turns_has_moved(tmp_path: Path) -> None:
 @pytest.mark.parametrize(("image", "reason"), [
     ({"CameraName": "nose"}, "no camera 'nose'"),
     ({"ImageType": 12}, "image type 12 is not available"),
+    ({"VehicleName": "Nobody"}, "Vehicle API for 'Nobody' is not available"),
 ])  # fmt: skip
 def test_an_image_that_cannot_be_taken_is_refused_at_the_start(
     tmp_path: Path, image: dict[str, object], reason: str

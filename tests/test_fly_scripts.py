@@ -98,10 +98,11 @@ def test_copies_of_the_client_settings_and_loops_that_poll(folder: Folder) -> No
     documents = folder.home / "Documents" / "AirSim"
     documents.mkdir(parents=True)
     (folder.path / "settings.json").write_text(json.dumps({"editor.fontSize": 12}))  # of another program
-    (documents / "settings.json").write_text(json.dumps({"SettingsVersion": 1.2, "ClockSpeed": 3}))
+    (documents / "settings.json").write_text(json.dumps({"SettingsVersion": 1.2, "ClockSpeed": 3, "Wind": {"W": 1}}))
     done = folder.fly(text)
     named, *said, polls, how = done.stdout.splitlines()
     assert named.startswith(f"settings: {documents / 'settings.json'} (--no-settings"), done.stderr
+    assert "settings.json: without effect here: Wind.W\n" in done.stderr
     assert said == ["True None", "-10.0", "refused", "3.0", "True True"]
     assert 250 < int(polls.split()[1]) < 501, done.stderr
     assert "1 ms of thinking before each" in how
@@ -345,7 +346,7 @@ def test_keys_are_never_pressed_where_nothing_reads_them(folder: Folder) -> None
 def test_a_script_of_airsim_1_1_flies(folder: Folder) -> None:
     text = """
         from AirSimClient import *
-        import airsim, time
+        import airsim, threading, time
         client = MultirotorClient()
         client.confirmConnection()
         client.enableApiControl(True)
@@ -359,6 +360,10 @@ def test_a_script_of_airsim_1_1_flies(folder: Folder) -> None:
         depth, scene = client.simGetImages([
             ImageRequest(0, AirSimImageType.DepthPlanner, True), ImageRequest(1, AirSimImageType.Scene)])
         print(AirSimClientBase.getPfmArray(depth).shape, airsim.ImageType.DepthPlanner, scene.width)
+        taken = []  # in another thread than the pictures before it and after it
+        threads = [threading.Thread(target=lambda: taken.append(client.simGetImage(0, 0))) for _ in range(2)]
+        [thread.start() for thread in threads], [thread.join() for thread in threads]
+        print([len(png) > 500 for png in taken])
         client.setCameraOrientation(0, AirSimClientBase.toQuaternion(0.2, 0, 0))
         pitch, roll, yaw = client.toEulerianAngle(client.getCameraInfo(0).pose.orientation)
         print(0.1 < pitch < 0.3, client.getCollisionInfo().has_collided)
@@ -367,7 +372,9 @@ def test_a_script_of_airsim_1_1_flies(folder: Folder) -> None:
     """
     done = folder.fly(text)
     assert done.returncode == 0, done.stderr
-    assert done.stdout.splitlines()[-5:-1] == ["True True", "(144, 256) 1 256", "True False", "True True"]
+    assert done.stdout.splitlines()[-6:-1] == [
+        *("True True", "(144, 256) 1 256", "[True, True]", "True False", "True True")
+    ]
 
 
 # --- settings ------------------------------------------------------------------------------------------------------

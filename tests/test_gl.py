@@ -5,6 +5,8 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -95,6 +97,20 @@ def test_workers_end_without_noise(tmp_path: Path) -> None:
     (tmp_path / "look.py").write_text(WORKER)
     done = run_python("-W", "error", str(tmp_path / "look.py"))
     assert (done.stdout, done.stderr) == ("True True\n", "")
+
+
+@needs_opengl
+def test_a_context_is_one_threads_until_it_lets_go() -> None:
+    context, renderer = gl.make_context(8, 8)
+    with ThreadPoolExecutor(1) as other:
+        if renderer.backend == "egl":
+            with pytest.raises(UserError, match=r"^OpenGL draws in one thread at a time, and another one has drawn"):
+                other.submit(gl.bind, context).result()
+        gl.let_go()
+        for does in (partial(gl.bind, context), gl.let_go):
+            other.submit(does).result()
+    gl.bind(context)
+    gl.release(context)
 
 
 def test_a_missing_or_wrong_opengl_is_told_in_a_line(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -132,6 +132,10 @@ def test_resume_with_another_configuration_names_what_differs(run: RunDirectory,
         RunDirectory.create(tmp_path / "cells", Chosen(cells=("a",)), {}, resume=True, may_grow=["cells"])
     (run.path / "config.yaml").write_text("games: 5\n")  # of a version that had no clock
     assert resume(grown, Flight(games=5)).config() == {"games": 5}
+    for damaged in ("x", "[[1]]", ".nan", "null"):
+        (run.path / "config.yaml").write_text(f"games: {damaged}\n")
+        with pytest.raises(UserError, match=r"has another configuration: .*games \(.* there, 5 here\)"):
+            RunDirectory.create(run.path, Flight(games=5), MANIFEST, resume=True, may_grow=["games"])
 
 
 # --- rows ---------------------------------------------------------------------------------------------------

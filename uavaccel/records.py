@@ -281,7 +281,7 @@ def refuse_other_config(path: Path, config: Config, may_grow: Collection[str]) -
             f"{path}: is a run of another suite, {there.get('suite')}, not of {here['suite']}; take another --out"
         )
     other = [key for key in sorted(there.keys() | here.keys()) if there.get(key) != here.get(key)]
-    both = [key for key in other if key in may_grow and key in there and key in here]
+    both = [key for key in other if key in may_grow and key in there and _counts(there[key]) == _counts(here[key])]
     grown = [key for key in both if _is_more(json.loads(there[key]), json.loads(here[key]))]
     if shrunk := [key for key in both if key not in grown]:
         said = [f"{key} = {here[key]}: {there[key]} were asked for before" for key in shrunk]
@@ -290,6 +290,14 @@ def refuse_other_config(path: Path, config: Config, may_grow: Collection[str]) -
         said = [f"{key} ({there.get(key, 'unset')} there, {here.get(key, 'unset')} here)" for key in left]
         raise UserError(f"{path}: has another configuration: {', '.join(said)}; take another --out")
     return grown
+
+
+def _counts(written: str) -> str:
+    """Say whether a value is a number or a list of names, of which there may be more; others are each of their own."""
+    value = json.loads(written)
+    if isinstance(value, list) and all(isinstance(each, str) for each in value):
+        return "names"
+    return "number" if isinstance(value, int) else written
 
 
 def _is_more(there: Plain, here: Plain) -> bool:

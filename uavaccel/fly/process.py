@@ -161,13 +161,19 @@ def settings_of(options: FlightOptions) -> Settings | None:
         return None
     from uavaccel.wire.settings import read_settings
 
+    settings, warnings = None, list[str]()
     try:
-        return read_settings(options.settings)
+        settings = read_settings(options.settings)
+        if without_effect := settings.without_effect():
+            warnings.append(f"{options.settings}: without effect here: {', '.join(without_effect)}")
     except UserError as error:
         if not options.settings_found:
             raise
-        print(f"uavaccel: warning: {error}; flown without", file=sys.stderr, flush=True)
-        return None
+        warnings.append(f"{error}; flown without")
+    if options.reference is None:
+        for line in warnings:
+            print(f"uavaccel: warning: {line}", file=sys.stderr, flush=True)
+    return settings
 
 
 if __name__ == "__main__":

@@ -93,8 +93,10 @@ class SimulatedFlight:
         assert isinstance(self._clock, VirtualClock)
         machine = MonotonicClock()
         begun_ns = machine.now_ns()
+        from uavaccel.sim.camera.gl import let_go
         from uavaccel.wire.settings import Settings
 
+        self._turns.before_passing = let_go
         world = ScriptWorld(self._options, self._settings or Settings(), self._clock_speed, self._clock)
         self._made_s += (machine.now_ns() - begun_ns) / NS_PER_S
         return world

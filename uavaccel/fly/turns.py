@@ -62,6 +62,7 @@ class Turns:
         self._threads = {threading.get_ident()}
         self._strangers = WeakSet(threading.enumerate())  # threads older than the script do nothing for it
         self.running: list[Thread] = []
+        self.before_passing: Callable[[], None] = lambda: None  # called by a thread that lets another one run
         self.simulated = True  # no longer so in a forked process
 
     def now_ns(self) -> int:
@@ -127,6 +128,7 @@ class Turns:
 
     def end(self) -> None:
         self._threads.discard(threading.get_ident())
+        self.before_passing()
         if self._waiting:
             self._following().begins.set()
 
@@ -140,6 +142,7 @@ class Turns:
     def _wait(self, mine: Turn) -> None:
         following = self._following()
         if following is not mine:
+            self.before_passing()
             following.begins.set()
             mine.begins.wait()
 

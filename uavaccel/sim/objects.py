@@ -33,7 +33,8 @@ BOX, SPHERE, CYLINDER = (
     int(kind) for kind in (mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_SPHERE, mujoco.mjtGeom.mjGEOM_CYLINDER)
 )
 ELLIPSOID, PLANE = int(mujoco.mjtGeom.mjGEOM_ELLIPSOID), int(mujoco.mjtGeom.mjGEOM_PLANE)
-MESH = int(mujoco.mjtGeom.mjGEOM_MESH)
+MESH, CAPSULE = int(mujoco.mjtGeom.mjGEOM_MESH), int(mujoco.mjtGeom.mjGEOM_CAPSULE)
+SCALED = (BOX, SPHERE, CYLINDER, ELLIPSOID, CAPSULE)
 # Unreal's basic shapes: one metre across; kind, half sizes along x, y, z.
 ASSETS: dict[str, tuple[int, Scale]] = {
     "Cube": (BOX, (0.5, 0.5, 0.5)),
@@ -86,9 +87,9 @@ class SceneObjects:
         """Return an object's pose, NED; None without one of that name."""
         if (geom := self.geom(name)) is None:
             return None
-        x, y, z = mujoco_to_ned(self._model.geom_pos[geom]).tolist()
-        w, i, j, k = quaternion_mujoco_to_ned(self._model.geom_quat[geom]).tolist()
-        return Pose((x, y, z), (w, i, j, k))
+        here = _ned(self._model.geom_pos[geom], self._model.geom_quat[geom])
+        within = self._within(geom)
+        return here if within is None else here.of(within.inwards_pose(Pose()))
 
     def set_pose(self, name: str, pose: Pose) -> bool:
         """Move an object; returns False without one of that name, and for the ground."""
@@ -104,9 +105,9 @@ class SceneObjects:
         return None if (geom := self.geom(name)) is None else self._scales.get(geom, (1.0, 1.0, 1.0))
 
     def set_scale(self, name: str, scale: Scale) -> bool:
-        """Scale an object; returns False without one of that name, for the ground and for meshes."""
+        """Scale an object; returns False without one of that name, and for the ground, meshes and height fields."""
         geom = self.geom(name)
-        if geom is None or self._kinds[geom] in (PLANE, MESH):
+        if geom is None or self._kinds[geom] not in SCALED:
             return False
         self._resize(geom, scale)
         self._moved(geom)
@@ -153,10 +154,19 @@ class SceneObjects:
         if self._kinds[geom] == PLANE:  # whose box is infinitely deep
             half, middle = (*self._model.geom_size[geom, :2], 0.0), np.zeros(3)
         signs = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T
-        pose = self.pose(name) or Pose()
+        pose = _ned(self._model.geom_pos[geom], self._model.geom_quat[geom])
         return np.asarray((signs * np.array(half) + middle) @ pose.matrix().T + np.array(pose.position_m))
 
+    def _within(self, geom: int) -> Pose | None:
+        """Return the pose in a mesh's own frame of the axes of inertia, about which MuJoCo turns it; None of others."""
+        if self._kinds[geom] != MESH:
+            return None
+        mesh = int(self._model.geom_dataid[geom])
+        return _ned(self._model.mesh_pos[mesh], self._model.mesh_quat[mesh])
+
     def _place(self, geom: int, pose: Pose) -> None:
+        if (within := self._within(geom)) is not None:
+            pose = pose.of(within)
         self._model.geom_pos[geom] = ned_to_mujoco(pose.position_m)
         self._model.geom_quat[geom] = quaternion_ned_to_mujoco(pose.orientation_wxyz)
         # otherwise MuJoCo ignores its rotation
@@ -169,9 +179,12 @@ class SceneObjects:
             raise ValueError(f"scale must be positive and at most {2 * LARGEST_HALF_M:g} m, not {scale}")
         if kind == CYLINDER and half[0] != half[1]:
             raise ValueError(f"the scale of a cylinder must be the same along x and y, not {scale}")
+        if kind == CAPSULE and len(set(scale)) > 1:
+            raise ValueError(f"the scale of a capsule must be the same along x, y and z, not {scale}")
         model = self._model
         model.geom_type[geom] = ELLIPSOID if kind == SPHERE else kind
-        model.geom_size[geom] = (half[0], half[2], 0.0) if kind == CYLINDER else half
+        along = {CYLINDER: half[2], CAPSULE: half[2] - half[0]}  # half lengths
+        model.geom_size[geom] = (half[0], along[kind], 0.0) if kind in along else half
         model.geom_aabb[geom] = (0.0, 0.0, 0.0, *half)
         model.geom_rbound[geom] = float(np.linalg.norm(half))
         self._scales[geom] = scale
@@ -185,6 +198,12 @@ class SceneObjects:
     def _moved(self, geom: int) -> None:
         refit_bounding_boxes(self._model, {geom})
         self._world.surroundings_changed()
+
+
+def _ned(position: NDArray[np.float64], quaternion: NDArray[np.float64]) -> Pose:
+    x, y, z = mujoco_to_ned(position).tolist()
+    w, i, j, k = quaternion_mujoco_to_ned(quaternion).tolist()
+    return Pose((x, y, z), (w, i, j, k))
 
 
 def _half_sizes(model: mujoco.MjModel, geom: int) -> Scale:

@@ -77,6 +77,8 @@ def airsim_spec(scene: Path) -> mujoco.MjSpec:
     path = own if own.exists() else scene
     plain, spec = mujoco.MjModel.from_xml_path(str(path)), mujoco.MjSpec.from_file(str(path))
     wide: set[str] = set()
+    for body in spec.bodies:
+        body.mocap = False  # what only a program would move is an object as others are
     for geom in spec.geoms:
         if geom.name.startswith(SPARE):
             raise ValueError(f'geom "{geom.name}": names with "{SPARE}" are those of spare geoms; give it another')

@@ -12,9 +12,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import IO, TYPE_CHECKING
 
-import numpy as np
-from numpy.typing import NDArray
-
 from uavaccel.clock import calendar_time
 from uavaccel.errors import UserError
 from uavaccel.sim.camera.pixels import png
@@ -23,6 +20,7 @@ from uavaccel.wire import types
 from uavaccel.wire.pictures import known_type, pfm, ppm
 
 if TYPE_CHECKING:
+    from uavaccel.sim.vehicle.vehicle import Vehicle
     from uavaccel.wire.calls import Scenery
 
 COLUMNS = ("VehicleName", "TimeStamp", "POS_X", "POS_Y", "POS_Z", "Q_W", "Q_X", "Q_Y", "Q_Z", "ImageFile")
@@ -41,17 +39,21 @@ class Recorder:
 
     def __init__(self, scenery: Scenery, folder: Path | None, say: Callable[[str], None]) -> None:
         self._scenery, self._simulation, self._folder, self._say = scenery, scenery.simulation, folder, say
-        self._settings, self._vehicle = scenery.settings.recording, scenery.settings.vehicle
+        self._settings = scenery.settings.recording
+        later = {name for name, vehicle in scenery.settings.vehicles.items() if not vehicle.auto_create}
         for number, wanted in enumerate(self._settings.cameras):
             try:
-                scenery.cameras().named(wanted.camera_name)
                 known_type(wanted.image_type)
+                if wanted.vehicle_name not in later:
+                    scenery.cameras(wanted.vehicle_name).named(wanted.camera_name)
             except ValueError as error:
                 raise UserError(f"Recording.Cameras.{number}: {error}") from None
         self._file: IO[str] | None = None
-        self._images: dict[int, str] = {}  # names of the files by tick
-        self._last_pose: list[float] | None = None
+        self._images: dict[tuple[int, str], list[str]] = {}  # names of the files by tick and vehicle
+        self._others: dict[int, list[tuple[Vehicle, list[float]]]] = {}  # poses by tick of vehicles beside the first
+        self._last_pose: dict[str, list[float]] = {}
         self._stop_watching: Callable[[], None] = lambda: None
+        self._look: Callable[[int], None] = _look_at_nothing
         self._folders, self._counted_ns = 0, 0
 
     def start(self, wall_ns: int = 0) -> None:
@@ -86,6 +88,7 @@ class Recorder:
         self._stop_watching()
         self._stop_watching = lambda: None
         self.keep()
+        self._look = _look_at_nothing
         if self._file is not None:
             self._file.close()
             self._file = None
@@ -94,12 +97,15 @@ class Recorder:
         """Write the samples to the file; to be called before the buffer is full or a reset empties it."""
         if self._file is None:
             return
-        lines, moved_only = [], self._settings.record_on_move
+        lines, moved_only, lead = [], self._settings.record_on_move, self._simulation.world.lead
         for row in self._simulation.world.recorder.take():
-            pose, before = row[1:8].tolist(), self._last_pose
-            self._last_pose = pose
-            if not (moved_only and pose == before):
-                lines.append(self._line(row))
+            tick = int(row[0])
+            self._look(tick)  # at the present tick, unless it was called before this
+            for vehicle, pose in [(lead, row[1:8].tolist()), *self._others.pop(tick, [])]:
+                before = self._last_pose.get(vehicle.name)
+                self._last_pose[vehicle.name] = pose
+                if not (moved_only and pose == before):
+                    lines.append(self._line(tick, vehicle, pose))
         try:
             self._file.writelines(lines)
             self._file.flush()
@@ -115,23 +121,36 @@ class Recorder:
             self._watch()
 
     def _watch(self) -> None:
-        """Take the images that the settings list, at each sample from now on."""
-        world = self._simulation.world
+        """Take the images that the settings list and the poses of further vehicles, at each sample from now on."""
+        world, others = self._simulation.world, self._simulation.world.vehicles[1:]
+        takes_images = bool(self._settings.cameras) and self._scenery.render
         self._stop_watching()
-        if self._file is None or not self._settings.cameras or not self._scenery.render:
+        self._stop_watching, self._look = lambda: None, _look_at_nothing
+        if self._file is None or not (takes_images or others):
             return
         self._images.clear()
-        self._take_images(world.tick)
+        self._others.clear()
+        looked_at = -1
 
-        def take_or_end(tick: int) -> None:
+        def look(tick: int) -> None:
+            nonlocal looked_at, takes_images
+            if tick <= looked_at:
+                return
+            first, looked_at = looked_at < 0, tick
+            states = [(vehicle, vehicle.kinematics(in_world=True)) for vehicle in others]
+            self._others[tick] = [(each, [*state.position_m, *state.orientation_wxyz]) for each, state in states]
             try:
-                self._take_images(tick)
+                if takes_images:
+                    self._take_images(tick)
             except (OSError, ValueError, UserError) as error:  # of the images, not of the flight
+                if first:
+                    raise
                 self._say(f"warning: the recording of images ends here: {error}")
-                self._stop_watching()
-                self._stop_watching = lambda: None
+                takes_images = False
 
-        self._stop_watching = world.watch(self._simulation.profile.recorder_ticks, take_or_end, world.tick)
+        look(world.tick)
+        self._look = look
+        self._stop_watching = world.watch(self._simulation.profile.recorder_ticks, look, world.tick)
 
     def _take_images(self, tick: int) -> None:
         if self._file is None:
@@ -139,26 +158,31 @@ class Recorder:
         folder = Path(self._file.name).parent / IMAGES
         folder.mkdir(exist_ok=True)
         stamp = types.stamp(self._simulation.time_of(tick))
-        names = []
-        for wanted in self._settings.cameras:
-            camera, pictures = self._scenery.cameras().named(wanted.camera_name), self._scenery.pictures
+        there = {"", *(vehicle.name for vehicle in self._simulation.world.vehicles)}
+        for wanted in (each for each in self._settings.cameras if each.vehicle_name in there):
+            vehicle = self._scenery.vehicle(wanted.vehicle_name).name
+            camera, pictures = self._scenery.cameras(vehicle).named(wanted.camera_name), self._scenery.pictures
             suffix = ".pfm" if wanted.pixels_as_float else ".png" if wanted.compress else ".ppm"
             if wanted.pixels_as_float:
                 content = pfm(pictures.floats(camera, wanted.image_type))
             else:
                 content = (png if wanted.compress else ppm)(pictures.rgb(camera, wanted.image_type))
-            parts = (self._vehicle, camera.name, str(wanted.image_type), str(stamp))
+            parts = (vehicle, camera.name, str(wanted.image_type), str(stamp))
             name = "_".join(["img", *(re.sub(r"[^\w-]", "_", part) for part in parts)]) + suffix
             (folder / name).write_bytes(content)
-            names.append(name)
-        self._images[tick] = ";".join(names)
+            self._images.setdefault((tick, vehicle), []).append(name)
 
-    def _line(self, row: NDArray[np.float64]) -> str:
-        """Return the line of one sample: columns 0 to 7 of `row` are tick, position in metres and wxyz orientation."""
-        tick = int(row[0])
+    def _line(self, tick: int, vehicle: Vehicle, pose: list[float]) -> str:
+        """Return the line of one sample of a vehicle: `pose` is its position in the world in metres and wxyz."""
         time_ms = types.stamp(self._simulation.time_of(tick)) // 1_000_000
-        pose = (f"{value:.9g}" for value in row[1:8])
-        return "\t".join((self._vehicle, str(time_ms), *pose, self._images.pop(tick, ""))) + "\n"
+        x, y, z = vehicle.local((pose[0], pose[1], pose[2]))
+        images = ";".join(self._images.pop((tick, vehicle.name), []))
+        values = (f"{value:.9g}" for value in (x, y, z, *pose[3:]))
+        return "\t".join((vehicle.name, str(time_ms), *values, images)) + "\n"
+
+
+def _look_at_nothing(tick: int) -> None:
+    """Take nothing beside the samples."""
 
 
 def _new_folder(parent: Path) -> Path:

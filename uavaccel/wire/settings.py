@@ -59,8 +59,9 @@ class WindSettings(AirSimKeys):
 
 
 class RecordedImage(AirSimKeys):
-    """An image that is taken at each sample of a recording."""
+    """An image that is taken at each sample of a recording; of the default vehicle if none is named."""
 
+    vehicle_name: str = ""
     camera_name: str = ""
     image_type: int = 0
     pixels_as_float: bool = False

@@ -140,10 +140,37 @@ def describe_renderer() -> GlRenderer:
 
 
 def bind(context: mujoco.GLContext) -> None:
-    """Make a context current in this thread unless it is, which the driver takes 10 µs to find out."""
+    """Make a context current in this thread unless it is, which the driver takes 10 µs to find out.
+
+    Raises UserError while it is current in another one, which has not `let_go`.
+    """
     if getattr(_in_thread, "context", None) is not context:
-        context.make_current()
+        try:
+            context.make_current()
+        except Exception as error:  # several libraries, each with exceptions of its own
+            raise UserError(
+                "OpenGL draws in one thread at a time, and another one has drawn with this camera: make, step and "
+                "close an environment in one and the same thread"
+            ) from error
         _in_thread.context = context
+
+
+def let_go() -> None:
+    """Leave this thread without a context, so that another one can draw with what it has drawn with."""
+    if getattr(_in_thread, "context", None) is None or forked:
+        return
+    _in_thread.context = None
+    backend = os.environ.get("MUJOCO_GL")
+    if backend == "egl":
+        from OpenGL import EGL
+
+        EGL.eglMakeCurrent(EGL.eglGetCurrentDisplay(), EGL.EGL_NO_SURFACE, EGL.EGL_NO_SURFACE, EGL.EGL_NO_CONTEXT)
+    elif backend == "osmesa":
+        from OpenGL import GL, osmesa
+
+        osmesa.OSMesaMakeCurrent(None, None, GL.GL_FLOAT, 0, 0)
+    else:
+        importlib.import_module("glfw").make_context_current(None)
 
 
 def check_process() -> None:
