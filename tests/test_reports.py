@@ -61,7 +61,7 @@ SLICE = [
     *("client call continue", "server handle continue", "server run"),
     *("server end", "server pause", "client return continue"),
 ]
-MOVE = ["client call move", "server handle move", *SLICE, "client return move"]
+MOVE = ["client call move", "server handle move", *SLICE, *SLICE, "client return move"]
 ASKED = ["client call ask", "server handle ask", "client return ask"]
 
 
