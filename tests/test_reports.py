@@ -314,9 +314,9 @@ def evaluate_kernels(path: Path) -> Report:
 
 
 def evaluate_many(path: Path) -> Report:
-    """Of many lost lanes nine are drawn."""
+    """Of many lost lanes whose path is known nine are drawn."""
     rows = [{"distance_m": 40.0 - n, "path_m": [[40.0 - n, 0.0]]} for n in range(11)]
-    return made.evaluated(path, *rows, task={"lane": {"obstacles": OBSTACLES}})
+    return made.evaluated(path, *rows, {"distance_m": 50.0}, task={"lane": {"obstacles": OBSTACLES}})
 
 
 def test_evaluations_are_compared_in_one_figure(tmp_path: Path, drawn: dict[str, Figure]) -> None:
