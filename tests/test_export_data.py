@@ -413,7 +413,7 @@ def test_refusals_are_one_clear_line(straight: RunDirectory, dp1: RunDirectory, 
         (one, {"minari": tmp_path / "there.mcap/lane-v0"}, r"there\.mcap"),
         (many, {"mcap": tmp_path / "all.mcap"}, "take a folder, or one game by --case"),
         (many, {"mcap": tmp_path / "there.mcap", "case": case}, r"there\.mcap: exists"),
-        (many, {"mcap": tmp_path / "there.mcap/logs"}, r"there\.mcap"),
+        (many, {"mcap": tmp_path / "there.mcap/logs"}, rf"there\.mcap/logs/{case}\.mcap: Not a directory$"),
         (many, {"mcap": tmp_path / "some"}, rf"{second}\.mcap: exists"),
         (many, {"mcap": logs, "case": "tcsc-k2"}, "--case tcsc-k2: not in"),
     ):

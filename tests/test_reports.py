@@ -56,6 +56,8 @@ def drawn(monkeypatch: pytest.MonkeyPatch) -> Iterator[dict[str, Figure]]:
 
 # --- DP1 ----------------------------------------------------------------------------------------------------------
 
+# Of a failed game no number counts.
+CRASHED: Row = {"error": "crashed", "lost_wall_s": 9.0, "wall_s": 99.0}
 ALIKE = [line_row("game", "tcsc", 50.0, game, 0.1) for game in range(3)]
 SLICE = [
     *("client call continue", "server handle continue", "server run"),
@@ -121,7 +123,7 @@ def dp1_accelerated(path: Path) -> Report:
     rows = [
         line_row("figure2", "adsc", 100.0, 1, 0.0, **fast),
         line_row("figure2", "adsc", 1.0, 0, 0.0, velocity_m_s=[0.5, 0.04, -0.2]),
-        line_row("figure2", "adsc", 9.0, 2, 0.0, error="crashed"),
+        line_row("figure2", "adsc", 9.0, 2, 0.0, **CRASHED),
     ]
     return traced(made.dp1(path, rows + accelerated_rows()), tcsc=MOVE, adsc=["server run"] * 53)
 
@@ -142,7 +144,7 @@ def dp1_disturbed(path: Path) -> Report:
 
 def dp1_failed(path: Path) -> Report:
     """A run whose only game failed has notes in place of figures."""
-    return made.dp1(path, [ALIKE[0] | {"error": "crashed"}])
+    return made.dp1(path, [ALIKE[0] | CRASHED])
 
 
 @pytest.mark.parametrize(
@@ -188,7 +190,7 @@ def dp2_errors(path: Path) -> Report:
     games = [GAME, calm, REFERENCE, dp2_game("game", "adsc", 9.0, (1, 0.0), (0, 0.0008))]
     games += [
         dp2_game("game", "adsc", 90.0, (4, 3.0), timing="lockstep"),
-        dp2_game("game", "adsc", 5.0, error="crashed"),
+        dp2_game("game", "adsc", 5.0, **CRASHED),
     ]
     games.append(dp2_game("reference", "adsc", 1.0, (0, 0.0), (0, 0.0)))
     return made.dp2(path, games, "perturbation.share=0.1", dvs_preset="noisy", sensor_seed=8)
@@ -196,7 +198,7 @@ def dp2_errors(path: Path) -> Report:
 
 def dp2_disturbed(path: Path) -> Report:
     """All that a reader can be warned of; nothing to compare with."""
-    changes: list[Row] = [{"error": "crashed"}, {"lost_wall_s": 0.5, "disturbed": True}, {"lost_wall_s": 0.25}]
+    changes: list[Row] = [CRASHED, {"lost_wall_s": 0.5, "disturbed": True}, {"lost_wall_s": 0.25}]
     games = [dp2_game("game", "tcsc", 5.0 + n, timing="wall", **change) for n, change in enumerate(changes)]
     without = {"latency": LatencyConfig()}
     return made.dp2(path, [*games, dp2_game("game", "adsc")], "perturbation.share=0.1", changes=without)
