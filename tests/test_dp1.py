@@ -65,7 +65,7 @@ def test_the_papers_grid_has_4800_games_and_79200_seconds() -> None:
 
 
 def test_another_timing_brings_references_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of ADSC at 1x, which is also a cell beside them. They come first, then the flights without latency, the games, and Figure 2's; last, traces for Figure 4."""
+    """Beside a cell of ADSC at 1x: they first, flights without latency, games, Figure 2's, and traces for Figure 4."""
     keys = {"clock_speed": [50.0, 1.0], "t_move_s": [0.2, 1.0], "rounds": [4], "timing": "wall"}
     config = config_of(**keys, games=1, reference_games=2)
     assert [(case.id, case.timing) for case in cases_of(config)] == [

@@ -161,7 +161,11 @@ def test_a_run_as_csv_reads_back_to_the_same_numbers(tmp_path: Path) -> None:
 
 
 def test_a_table_has_all_rows_columns_and_unknown_integers_stay_none() -> None:
-    rows = [{"n": 1, "m": 1.5, "i": 1}, {"m": None, "i": 2, "text": "x"}, {"n": 2, "i": 3, "is": True}]
+    rows: list[dict[str, Any]] = [
+        {"n": 1, "m": 1.5, "i": 1},
+        {"m": None, "i": 2, "text": "x"},
+        {"n": 2, "i": 3, "is": True},
+    ]
     table = table_of(rows)
     assert {name: str(kind) for name, kind in table.dtypes.items()} == {
         "n": "object", "m": "float64", "i": "int64", "text": "object", "is": "object",
