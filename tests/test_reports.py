@@ -87,7 +87,7 @@ def dp1_cells(path: Path) -> Report:
     ]
     rows += [
         line_row("lockstep", "tcsc", 1.0, 0, 0.6, timing="lockstep"),
-        line_row("game", "tcsc", 50.0, 4, 5.0, error="the drone crashed", timing="wall"),
+        line_row("game", "tcsc", 50.0, 4, 5.0, error="the drone crashed", disturbed=True, timing="wall"),
         line_row("figure2", "tcsc", 50.0, 0, 7.0, timing="wall"),
         line_row("reference", "adsc", 1.0, 0, 30.0, t_move_s=0.5),
         line_row("reference", "adsc", 1.0, 0, 40.0, rounds=2),
