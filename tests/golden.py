@@ -101,7 +101,14 @@ def _collection(artist: Any) -> str:
 
 
 def _legend(legend: Any) -> str:
-    return f"{legend.get_title().get_text()} {[text.get_text() for text in legend.get_texts()]}"
+    entries = zip(legend.get_texts(), legend.legend_handles, strict=True)
+    return f"{legend.get_title().get_text()} {[f'{text.get_text()} {_colour(handle)}' for text, handle in entries]}"
+
+
+def _colour(artist: Any) -> str:
+    if isinstance(artist, Line2D):
+        return f"{to_hex(artist.get_color())} {artist.get_linestyle()}"
+    return to_hex([*np.reshape(artist.get_facecolor(), (-1, 4)), *np.reshape(artist.get_edgecolor(), (-1, 4))][0])
 
 
 def numbers(values: Any) -> str:

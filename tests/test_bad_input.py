@@ -34,6 +34,7 @@ run robustness --set latency_scale=[-1] -> latency_scale.0 = -1: should be great
 run robustness --set latency_scale=[1, 1] -> has 1 twice
 run robustness --set evaluation.keys={task.histry: 1} -> unknown key 'task.histry'
 run robustness --set evaluation.experiment=dp1 -> dp1
+run dp2 --set dvs_rate_hz=100 --set reference_timing=wall -> dvs_rate_hz needs timing and reference_timing virtual
 run dp2 --set lane=nowhere.yaml -> --set: lane: nowhere.yaml: No such file
 run robustness --set agent="a\\0b" -> the name of a file has a null byte in it
 run robustness --set agent=nowhere -> nowhere: holds no policy

@@ -9,7 +9,7 @@ import re
 import signal
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -20,8 +20,11 @@ import numpy as np
 import pytest
 import torch as th
 from gymnasium import spaces
+from matplotlib.collections import LineCollection
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from tests.conftest import forget_own_code
 from tests.opengl import needs_opengl
 from tests.test_policy_server import PACKAGE, STRANGER, process
 from uavaccel.cli.main import app
@@ -147,9 +150,19 @@ def test_delays_in_control_periods_are_those_in_seconds() -> None:
     assert steps.table()[0][0] == "steps"
 
 
-def test_the_score_against_latency_is_drawn() -> None:
-    certificate = certify(Count, same, DELAYS, episodes=2)
+def test_the_score_against_latency_is_drawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    certificate, drawn = certify(Count, same, DELAYS, episodes=2), list[Figure]()
+    save = Figure.savefig
+
+    def saved(figure: Figure, *to: Any, **how: Any) -> None:
+        drawn.append(figure)
+        save(figure, *to, **how)
+
+    monkeypatch.setattr(Figure, "savefig", saved)
     assert certificate.figure("figure.png").read_bytes().startswith(b"\x89PNG")
+    (bars,) = [each for each in drawn[0].axes[0].collections if isinstance(each, LineCollection)]
+    cells = [(1e3 * cell["latency_s"], cell["low"], cell["high"]) for cell in certificate.document["cells"]]
+    np.testing.assert_allclose(bars.get_segments(), [[(at, low), (at, high)] for at, low, high in cells])
     header, lines = certificate.table()
     assert header == ["seconds", "median ms", "success", "95 %", "failed"]
     assert lines[1] == ["0.01", "10", "100.0%", "34.2% to 100.0%", "0"]
@@ -453,6 +466,20 @@ def test_an_environment_of_ones_own_is_beside_the_policy(capsys: pytest.CaptureF
             ran(f"timing {command} own_cart.py:act own_cart:Stuck-v0 --set default_action=0 --out stuck{len(command)}")
 
 
+def test_a_worker_runs_what_was_trusted_though_it_was_written_nowhere(monkeypatch: pytest.MonkeyPatch) -> None:
+    Path("pilot.py").write_text("def act(seen):\n    return seen\n")
+    monkeypatch.setenv("XDG_STATE_HOME", os.devnull)
+
+    def as_in_others(jobs: int, at_once: int, calls: Iterable[Any]) -> Iterator[Any]:
+        for worker, arguments, _ in calls:
+            forget_own_code(monkeypatch)
+            yield worker(*arguments)
+
+    monkeypatch.setattr("uavaccel.realtime.evaluation.on_this_machine", as_in_others)
+    certificate = certify(Count, "pilot.py:act", DELAYS, episodes=1, jobs=2, trust=True)
+    assert certificate.document["holds"]["latency_s"] == PERIOD_S
+
+
 @pytest.mark.parametrize(
     ("words", "error", "said"),
     [
@@ -525,6 +552,10 @@ def test_a_certificate_is_what_its_rows_say() -> None:
     assert [cell["latency_s"] for cell in certificate.document["cells"]] == [0.0, 0.1, 0.2, 0.3]  # the medians
     assert certificate.document["holds"]["latency_s"] == 0.1  # what comes after the first that does not hold is not
     assert "policy of unknown hash" in certificate.line
+    steps = [
+        row | {"latency": int(10 * row["latency"]), "success": row["success"] and not row["latency"]} for row in rows
+    ]
+    assert "up to 0 ms, 0 steps (10 " in Certificate({**certificate.setup, "unit": "steps"}, steps).line
     lost = Certificate(certificate.setup, [row | {"success": False} for row in rows])
     assert ": no certificate: without latency no episode is a success; 10 episodes a latency" in lost.line
     assert lost.document["holds"]["latency_s"] is None

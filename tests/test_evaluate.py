@@ -308,7 +308,8 @@ def test_a_trainings_run_directory_is_an_agent_and_is_filmed(tmp_path: Path, mon
     train_into(training, tiny_config({"max_commands": 4}, games=1))
     summary = evaluated(str(training), tmp_path / "run", "task.max_commands=3", games=1)
     assert summary["games"] == 1
-    assert film_game(training, "lane-000004", None, tmp_path / "lane.mp4")[1] == tmp_path / "lane.png"
+    film = tmp_path / "films/mine/lane.mp4"
+    assert film_game(training, "lane-000004", None, film) == (film, film.with_suffix(".png"))
     with pytest.raises(UserError, match="--case 4: must be an evaluation lane, as lane-000007"):
         film_game(training, "4", None, tmp_path / "lane.mp4")
 

@@ -23,7 +23,7 @@ from uavaccel.errors import UserError
 from uavaccel.records import RunDirectory
 from uavaccel.rl.onnx_file import OnnxPolicy, described, example, reduced, write_onnx
 from uavaccel.rl.policy import Policy, make_policy
-from uavaccel.suites.report import row_table, sample_tables, write_tables
+from uavaccel.suites.report import records, row_table, sample_tables, table_of, write_tables
 from uavaccel.vision.dvs_sensor import dvs_observation
 
 
@@ -158,6 +158,20 @@ def test_a_run_as_csv_reads_back_to_the_same_numbers(tmp_path: Path) -> None:
         samples = list(csv.DictReader(file))
     assert list(samples[0]) == ["position_m.0", "position_m.1", "position_m.2", "speed"]
     assert float(samples[1]["position_m.2"]) == 5 / 7
+
+
+def test_a_table_has_all_rows_columns_and_unknown_integers_stay_none() -> None:
+    rows: list[dict[str, Any]] = [
+        {"n": 1, "m": 1.5, "i": 1},
+        {"m": None, "i": 2, "text": "x"},
+        {"n": 2, "i": 3, "is": True},
+    ]
+    table = table_of(rows)
+    assert {name: str(kind) for name, kind in table.dtypes.items()} == {
+        "n": "object", "m": "float64", "i": "int64", "text": "object", "is": "object",
+    }  # fmt: skip
+    assert table.n.tolist() == [1, None, 2]
+    assert [row["is"] for row in records(table)] == [None, None, True]
 
 
 def test_columns_have_one_kind_each() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import hashlib
 import json
+import os
 import sys
 from pathlib import Path
 from types import SimpleNamespace
@@ -23,7 +24,7 @@ from uavaccel.cli.flights import export
 from uavaccel.config import Config
 from uavaccel.envs.hover import HoverTask
 from uavaccel.errors import UsageError, UserError
-from uavaccel.export import NED_IN_ENU, OPTICAL_IN_BODY, TOPICS, _columns, entries, event_columns
+from uavaccel.export import NED_IN_ENU, OPTICAL_IN_BODY, TOPICS, _columns, _write_metadata, entries, event_columns
 from uavaccel.files import file_sha256, to_json
 from uavaccel.records import RunDirectory, provenance_of
 from uavaccel.suites.dp1 import Dp1
@@ -323,7 +324,9 @@ def test_a_dataset_says_of_each_episode_and_of_itself_what_it_is(straight: RunDi
         assert about["total_steps"] == row["commands"]
     told = json.loads((data / "metadata.json").read_text())
     assert (told["dataset_id"], told["algorithm_name"], told["total_episodes"]) == ("lane-v3", "offset:0.5", 1)
-    assert told["dataset_size"] == round((data / "main_data.hdf5").stat().st_size / 1e6, 1)
+    os.truncate(data / "main_data.hdf5", 10_700_000)
+    _write_metadata(straight, evaluation_of(straight, ""), [], data, "lane-v3")
+    assert json.loads((data / "metadata.json").read_text())["dataset_size"] == 10.7  # MB
     assert told["uavaccel"]["timing"] == straight.config()["task"]["timing"]
     assert json.loads(told["action_space"]) == {"type": "Discrete", "dtype": "int64", "start": 0, "n": 5}
     assert json.loads(told["env_spec"])["kwargs"]["clock_speed"] == 20.0
@@ -410,7 +413,7 @@ def test_refusals_are_one_clear_line(straight: RunDirectory, dp1: RunDirectory, 
         (one, {"minari": tmp_path / "there.mcap/lane-v0"}, r"there\.mcap"),
         (many, {"mcap": tmp_path / "all.mcap"}, "take a folder, or one game by --case"),
         (many, {"mcap": tmp_path / "there.mcap", "case": case}, r"there\.mcap: exists"),
-        (many, {"mcap": tmp_path / "there.mcap/logs"}, r"there\.mcap"),
+        (many, {"mcap": tmp_path / "there.mcap/logs"}, rf"there\.mcap/logs/{case}\.mcap: Not a directory$"),
         (many, {"mcap": tmp_path / "some"}, rf"{second}\.mcap: exists"),
         (many, {"mcap": logs, "case": "tcsc-k2"}, "--case tcsc-k2: not in"),
     ):

@@ -10,6 +10,7 @@ import sys
 import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 from unittest.mock import patch
 
@@ -201,6 +202,14 @@ def test_a_sleep_between_unpause_and_pause_flies_exactly_that(
         flight.pass_time(0.7)
     flown = client.getMultirotorState().timestamp - before
     assert flown == round(0.6 * clock_speed * NS_PER_S)
+
+
+def test_making_the_simulation_is_no_time_of_the_flight(flight_in: FlightMaker, tmp_path: Path) -> None:
+    flight, times = flight_in(tmp_path), iter([NS_PER_S, 4 * NS_PER_S])
+    with patch.object(simulated, "MonotonicClock", lambda: SimpleNamespace(now_ns=times.__next__)):
+        client_of(flight).ping()
+    flight._client = SimpleNamespace(spent_s=0.5)  # type: ignore[assignment]
+    assert flight.unflown_s == 3.5
 
 
 def test_only_sleeps_in_which_the_simulation_runs_count_as_slept(flight_in: FlightMaker, tmp_path: Path) -> None:

@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 
 from tests.airsim_wire import MS, AirSimWire, floats, pixels
 from tests.scenes import BLOCKS, COLUMNS, ROWS, Pose, cast_rays
-from uavaccel.sim.camera.camera import Lens, MountedCamera
+from uavaccel.sim.camera.camera import SKY_M, Lens, MountedCamera
 from uavaccel.sim.profile import NATIVE
 from uavaccel.sim.world import World
 from uavaccel.wire import rpc
 from uavaccel.wire.api import Api
 from uavaccel.wire.image_api import decode_image, projection
-from uavaccel.wire.pictures import can_render, colours, id_of_name
+from uavaccel.wire.pictures import can_render, colours, id_of_name, pixel_rays
 from uavaccel.wire.types import EPOCH_NS
 
 pytestmark = pytest.mark.opengl
@@ -195,7 +195,7 @@ def test_switched_off_images_are_refused_by_every_call(blocks: AirSimWire) -> No
 
 
 HUGE = {
-    "CameraDefaults": {"CaptureSettings": [{"ImageType": kind, "Width": 8192, "Height": 8192} for kind in range(8)]}
+    "CameraDefaults": {"CaptureSettings": [{"ImageType": kind, "Width": 8192, "Height": 4096} for kind in range(8)]}
 }
 
 
@@ -203,7 +203,7 @@ def test_a_picture_that_is_too_large_is_refused_before_it_is_drawn() -> None:
     wire = AirSimWire(HUGE)
     for kind in range(8):
         for as_float in (False, True):
-            with pytest.raises(rpc.RpcError, match=r"8192 x 8192 is too large: it may have 16,777,216 pixels"):
+            with pytest.raises(rpc.RpcError, match=r"8192 x 4096 is too large: it may have 16,777,216 pixels"):
                 wire.images(("0", kind, as_float))
     assert can_render(Lens(4320, 2160)), "AirSim's high resolution camera"
 
@@ -230,5 +230,8 @@ def test_rays_are_those_of_the_lens_that_it_is_pointed_through() -> None:
             ray = np.sqrt(1 + ((lens.width - 1) * slope) ** 2 + ((lens.height - 1) * slope) ** 2)
             assert length.shape == (lens.height, lens.width)
             assert length[-1, -1] / depth[-1, -1] == pytest.approx(ray, rel=1e-5)
-            assert length[-1, 0] / depth[-1, 0] == pytest.approx(ray, rel=1e-5)
+            rays = pixel_rays(lens, range(lens.height))
+            np.testing.assert_allclose(length, np.minimum(depth / rays[..., 0], SKY_M), rtol=1e-5)
+            np.testing.assert_allclose(rays[0, 0], rays[-1, -1] * [1, -1, -1])
+            assert (rays[-1, -1] > 0).all(), "to the right and down"
     world.close()

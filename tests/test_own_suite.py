@@ -14,10 +14,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.conftest import forget_own_code
 from tests.running import run_into
 from uavaccel import VelocityGoal, open_session, tcsc
 from uavaccel.errors import UserError
-from uavaccel.own_code import file_beside, folder_of, own_function, trusting
+from uavaccel.own_code import file_beside, folder_of, look_also_in, own_function, trusting
 from uavaccel.suites.registry import find_suite
 from uavaccel.suites.session import RunRequest, reading
 
@@ -125,14 +126,19 @@ def test_a_suite_that_is_none_is_one_line(name: str, hint: str, here: Path) -> N
     assert str(caught.value).startswith(f"toy.yaml: suite = {name!r}: {hint.replace('HERE', str(here))}")
 
 
-def test_a_suite_in_a_package_is_imported_from_above_it(here: Path) -> None:
+def test_a_suite_in_a_package_is_imported_from_above_it(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """In a later process by a run that notes its folder, from anywhere."""
     package = here / "toys" / "inner"
     package.mkdir(parents=True)
     for name in ("__init__.py", "toy.py"):
         (package / name).write_text(BLOCKS["python"])
-    for module in ("toys.inner", "toys.inner.toy"):
+    for module in ("toys.inner.toy", "toys.inner"):
         with trusting(beside=here):
             assert folder_of(type(find_suite(f"{module}:Toy", "toy.yaml"))) == here
+        forget_own_code(monkeypatch)
+        monkeypatch.chdir("/")
+        look_also_in(str(here))
+        assert folder_of(type(find_suite(f"{module}:Toy", "toy.yaml"))) == here
     assert folder_of(type(find_suite("dp1", "dp1.yaml"))) is None
 
 

@@ -134,6 +134,8 @@ def test_trainings_and_evaluations_are_flown_from_python(tmp_path: Path) -> None
     assert (run.path, run.summary["games"]) == (tmp_path / "run", 2)
     assert (run.config()["task"]["max_commands"], run.config()["task"]["profile"]) == (8, "native")
     assert uavaccel.train(out=run.path, resume=True, games=3).summary["games"] == 3
+    with pytest.raises(UserError, match=r"run: has another configuration: .*simulator"):
+        uavaccel.train("train_kernels", out=run.path, resume=True, games=3)
     evaluated = uavaccel.evaluate(run, games=2, out=str(tmp_path / "evaluated"))
     assert (evaluated.summary["games"], len(evaluated.rows())) == (2, 2)
     with pytest.raises(UserError, match=r"exists; take another --out, or --resume"):

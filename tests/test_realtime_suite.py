@@ -176,8 +176,10 @@ def test_an_episode_has_its_return_delay_and_lateness(ends: str) -> None:
         )
 
     env: Any = SimpleNamespace(reset=lambda seed: (seed, {}), step=step)
-    assert agents.fly_episode(env, lambda observation: 10 * observation, 7, 0.0) == (6.5, 0.25, 0.75)
-    assert met == [70, 710, 7110, 71110]
+    policy: Any = lambda observation: 10 * observation  # noqa: E731
+    policy.reset = lambda seed: met.append(-seed)
+    assert agents.fly_episode(env, policy, 7, 0.0) == (6.5, 0.25, 0.75)
+    assert met == [-7, 70, 710, 7110, 71110]
 
 
 @pytest.mark.parametrize("clock_speed", [1.0, 2.0])

@@ -130,6 +130,9 @@ def test_resume_with_another_configuration_names_what_differs(run: RunDirectory,
     assert resumed.config() == {"cells": []}
     with pytest.raises(UserError, match=r'cells = \["a"\]: \[\] were asked for before'):
         RunDirectory.create(tmp_path / "cells", Chosen(cells=("a",)), {}, resume=True, may_grow=["cells"])
+    (run.path / "config.yaml").write_text("gams: 3\n")  # of a version that had another name for them
+    with pytest.raises(UserError, match=r"games \(unset there, 5 here\), gams \(3 there, unset here\)"):
+        RunDirectory.create(run.path, Flight(games=5), MANIFEST, resume=True, may_grow=["games"])
     (run.path / "config.yaml").write_text("games: 5\n")  # of a version that had no clock
     assert resume(grown, Flight(games=5)).config() == {"games": 5}
     for damaged in ("x", "[[1]]", ".nan", "null"):

@@ -56,12 +56,14 @@ def drawn(monkeypatch: pytest.MonkeyPatch) -> Iterator[dict[str, Figure]]:
 
 # --- DP1 ----------------------------------------------------------------------------------------------------------
 
+# Of a failed game no number counts.
+CRASHED: Row = {"error": "crashed", "lost_wall_s": 9.0, "wall_s": 99.0}
 ALIKE = [line_row("game", "tcsc", 50.0, game, 0.1) for game in range(3)]
 SLICE = [
     *("client call continue", "server handle continue", "server run"),
     *("server end", "server pause", "client return continue"),
 ]
-MOVE = ["client call move", "server handle move", *SLICE, "client return move"]
+MOVE = ["client call move", "server handle move", *SLICE, *SLICE, "client return move"]
 ASKED = ["client call ask", "server handle ask", "client return ask"]
 
 
@@ -85,7 +87,7 @@ def dp1_cells(path: Path) -> Report:
     ]
     rows += [
         line_row("lockstep", "tcsc", 1.0, 0, 0.6, timing="lockstep"),
-        line_row("game", "tcsc", 50.0, 4, 5.0, error="the drone crashed", timing="wall"),
+        line_row("game", "tcsc", 50.0, 4, 5.0, error="the drone crashed", disturbed=True, timing="wall"),
         line_row("figure2", "tcsc", 50.0, 0, 7.0, timing="wall"),
         line_row("reference", "adsc", 1.0, 0, 30.0, t_move_s=0.5),
         line_row("reference", "adsc", 1.0, 0, 40.0, rounds=2),
@@ -121,7 +123,7 @@ def dp1_accelerated(path: Path) -> Report:
     rows = [
         line_row("figure2", "adsc", 100.0, 1, 0.0, **fast),
         line_row("figure2", "adsc", 1.0, 0, 0.0, velocity_m_s=[0.5, 0.04, -0.2]),
-        line_row("figure2", "adsc", 9.0, 2, 0.0, error="crashed"),
+        line_row("figure2", "adsc", 9.0, 2, 0.0, **CRASHED),
     ]
     return traced(made.dp1(path, rows + accelerated_rows()), tcsc=MOVE, adsc=["server run"] * 53)
 
@@ -142,7 +144,7 @@ def dp1_disturbed(path: Path) -> Report:
 
 def dp1_failed(path: Path) -> Report:
     """A run whose only game failed has notes in place of figures."""
-    return made.dp1(path, [ALIKE[0] | {"error": "crashed"}])
+    return made.dp1(path, [ALIKE[0] | CRASHED])
 
 
 @pytest.mark.parametrize(
@@ -186,17 +188,14 @@ def dp2_errors(path: Path) -> Report:
     same: Any = {key.upper(): each for key, each in GAME["arrays"].items()}
     calm = dp2_game("lockstep", **same | {"DVS_OFF": REFERENCE["arrays"]["dvs_off"]})
     games = [GAME, calm, REFERENCE, dp2_game("game", "adsc", 9.0, (1, 0.0), (0, 0.0008))]
-    games += [
-        dp2_game("game", "adsc", 90.0, (4, 3.0), timing="lockstep"),
-        dp2_game("game", "adsc", 5.0, error="crashed"),
-    ]
+    games += [dp2_game("game", "adsc", 90.0, (4, 3.0), timing="lockstep"), dp2_game("game", "adsc", 5.0, **CRASHED)]
     games.append(dp2_game("reference", "adsc", 1.0, (0, 0.0), (0, 0.0)))
     return made.dp2(path, games, "perturbation.share=0.1", dvs_preset="noisy", sensor_seed=8)
 
 
 def dp2_disturbed(path: Path) -> Report:
     """All that a reader can be warned of; nothing to compare with."""
-    changes: list[Row] = [{"error": "crashed"}, {"lost_wall_s": 0.5, "disturbed": True}, {"lost_wall_s": 0.25}]
+    changes: list[Row] = [CRASHED, {"lost_wall_s": 0.5, "disturbed": True}, {"lost_wall_s": 0.25}]
     games = [dp2_game("game", "tcsc", 5.0 + n, timing="wall", **change) for n, change in enumerate(changes)]
     without = {"latency": LatencyConfig()}
     return made.dp2(path, [*games, dp2_game("game", "adsc")], "perturbation.share=0.1", changes=without)
@@ -314,9 +313,9 @@ def evaluate_kernels(path: Path) -> Report:
 
 
 def evaluate_many(path: Path) -> Report:
-    """Of many lost lanes nine are drawn."""
+    """Of many lost lanes whose path is known nine are drawn."""
     rows = [{"distance_m": 40.0 - n, "path_m": [[40.0 - n, 0.0]]} for n in range(11)]
-    return made.evaluated(path, *rows, task={"lane": {"obstacles": OBSTACLES}})
+    return made.evaluated(path, *rows, {"distance_m": 50.0}, task={"lane": {"obstacles": OBSTACLES}})
 
 
 def test_evaluations_are_compared_in_one_figure(tmp_path: Path, drawn: dict[str, Figure]) -> None:

@@ -74,6 +74,14 @@ def test_a_server_that_is_stopped_while_it_starts_is_noticed_at_once(monkeypatch
         WatchedServer({})
 
 
+def test_a_server_that_ends_before_it_listens_is_told_by_its_status(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Though it has closed its output before it is gone."""
+    program = "import os, time; os.close(1); time.sleep(0.05); os._exit(3)"
+    monkeypatch.setattr(transport, "start_python", lambda *_, **how: start_python("-c", program, **how))
+    with pytest.raises(ServerGoneError, match=r"ended with status 3 before it listened$"):
+        WatchedServer({})
+
+
 @pytest.mark.parametrize(("computes", "patient_s"), [(True, 60), (False, 2)])
 def test_a_silent_server_is_given_longer_while_it_computes(
     monkeypatch: pytest.MonkeyPatch, computes: bool, patient_s: int

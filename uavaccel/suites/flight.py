@@ -176,7 +176,6 @@ def film_game(
     with working("the game", 0):
         name, flight = flight_of(source, case, game)
         movie, film = movie or inside(Path(source), f"films/{name}.mp4"), film_of(flight)
-    movie.parent.mkdir(parents=True, exist_ok=True)
     with working(movie.name, len(film)) as written:
         write_video(film, movie, written=written)
     return movie, write_contact_sheet(film, movie.with_suffix(".png"))
