@@ -16,7 +16,7 @@ from uavaccel.fly.options import FlightOptions
 from uavaccel.fly.simulated import SimulatedFlight
 from uavaccel.fly.threads import ThreadModules
 
-PROGRAMS, THREADS, DEEDS, STEP_MS = 80, 4, 12, 8
+PROGRAMS, THREADS, DEEDS, STEP_MS = 60, 4, 12, 8
 QUEUES = ("Queue", "LifoQueue", "PriorityQueue", "SimpleQueue")
 NAMES = ("sleep", "take", "take", "give", "acquire", "release", "get", "put", "wait", "set", "clear", "join", "fly")
 Deed = tuple[str, float | None, int]
@@ -46,7 +46,9 @@ class Reference:
     def thread(self, number: int, program: list[Deed]) -> Waiting:
         for name, ms, what in program:
             try:
-                answer = yield from getattr(self, name)(inf if ms is None else self.now + ms, what)
+                answer = getattr(self, name)(inf if ms is None else self.now + ms, what)
+                if isinstance(answer, Generator):
+                    answer = yield from answer
             except RuntimeError:
                 answer = "RuntimeError"
             self.said.append((self.now, number, name, answer))
@@ -72,6 +74,13 @@ class Reference:
         finally:
             waiters[:] = [each for each in waiters if each is not mine]
 
+    def once(self, ready: Callable[[], bool], waiters: list[object], until: float) -> Waiting:
+        while not ready():
+            if self.now >= until:
+                return False
+            yield from self.told(waiters, until)
+        return True
+
     def sleep(self, until: float, _: int) -> Waiting:
         yield until, bool
 
@@ -80,53 +89,42 @@ class Reference:
             self.held = True
         return free
 
-    def give(self, *_: float) -> Waiting:
-        yield from ()
+    def give(self, *_: float) -> None:
         if not self.held:
             raise RuntimeError("release unlocked lock")
         self.held = False
 
     def acquire(self, until: float, _: int) -> Waiting:
-        while not self.places:
-            if self.now >= until:
-                return False
-            yield from self.told(self.free, until)
-        self.places -= 1
-        return True
+        if free := (yield from self.once(lambda: self.places > 0, self.free, until)):
+            self.places -= 1
+        return free
 
-    def release(self, *_: float) -> Waiting:
-        yield from ()
+    def release(self, *_: float) -> None:
         self.places += 1
         del self.free[:1]
 
     def get(self, until: float, _: int) -> Waiting:
-        while not self.items:
-            if self.now >= until:
-                return "Empty"
-            yield from self.told(self.filled, until)
+        if not (yield from self.once(lambda: bool(self.items), self.filled, until)):
+            return "Empty"
         del self.emptied[:1]
         if self.kind == "PriorityQueue":
             self.items.sort()
         return self.items.pop(-1 if self.kind == "LifoQueue" else 0)
 
     def put(self, until: float, what: int) -> Waiting:
-        while len(self.items) >= self.size:
-            if self.now >= until:
-                return "Full"
-            yield from self.told(self.emptied, until)
+        if not (yield from self.once(lambda: len(self.items) < self.size, self.emptied, until)):
+            return "Full"
         self.items.append(what)
         del self.filled[:1]
 
     def wait(self, until: float, _: int) -> Waiting:
         return self.is_set or (self.now < until and (yield from self.told(self.event, until)))
 
-    def set(self, *_: float) -> Waiting:
-        yield from ()
+    def set(self, *_: float) -> None:
         self.is_set = True
         self.event.clear()
 
-    def clear(self, *_: float) -> Waiting:
-        yield from ()
+    def clear(self, *_: float) -> None:
         self.is_set = False
 
     def join(self, until: float, whom: int) -> Waiting:

@@ -114,19 +114,6 @@ def locks_that_may_be_taken_again(s: Script) -> None:
 
 
 @program
-def who_waits_first_is_let_in_first(s: Script) -> None:
-    lock = s.threading.Lock()
-
-    def work(name: int) -> None:
-        s.units(name)
-        with lock:
-            s.say(name)
-            s.units(4)
-
-    s.run(*(partial(work, name) for name in range(3)))
-
-
-@program
 def conditions(s: Script) -> None:
     for lock, holds in ((None, 3), (s.threading.Lock(), 1), (s.threading.RLock(), 2)):
         condition = s.threading.Condition(lock)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -177,6 +178,7 @@ def test_only_what_is_trusted_runs() -> None:
         ("none.pt", "none.pt: no such file"),
         ("text.pt", "text.pt: is no TorchScript file: "),
         ("text.zip", "text.zip: is no model that stable-baselines3 has saved: "),
+        ("plain.zip", "plain.zip: its policy cannot be made for this task: "),
         ("none.py:act", "policy 'none.py:act': no module 'none' in "),
         ("tcp://here", "policy 'tcp://here': must be tcp://host:port, as in "),
         ("tcp://127.0.0.1:99999", "policy 'tcp://127.0.0.1:99999': must be tcp://host:port, as in "),
@@ -186,6 +188,8 @@ def test_only_what_is_trusted_runs() -> None:
 def test_what_is_no_policy_is_one_line(policy: Any, said: str) -> None:
     for name in ("text.pt", "text.zip"):
         Path(name).write_text("{}")
+    with zipfile.ZipFile("plain.zip", "w") as archive:
+        archive.writestr("data", '{"observation_space": "n", "action_space": "n", "policy_class": "n"}')
     with pytest.raises(UserError, match=f"^{said}") as caught:
         load_policy(policy, REACH, trust=True)
     assert "\n" not in str(caught.value)

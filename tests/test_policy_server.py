@@ -26,7 +26,7 @@ from uavaccel.clock import MonotonicClock
 from uavaccel.errors import UserError
 from uavaccel.files import file_sha256
 from uavaccel.realtime import PolicyServer, RealTime, RemotePolicy, load_policy, measure
-from uavaccel.realtime.server import BODY_BYTES, MAGIC, Frame, read_frame
+from uavaccel.realtime.server import BODY_BYTES, DTYPES, MAGIC, Frame, read_frame
 
 PACKAGE = Path(__file__).parents[1]
 
@@ -174,6 +174,25 @@ def test_observations_arrive_as_they_were(seen: spaces.Space[Any], actions: int,
     for name, part in here.items():
         np.testing.assert_array_equal(there[name], part)
         assert there[name].dtype == np.asarray(part).dtype
+
+
+def test_a_frame_is_read_as_it_was_written() -> None:
+    """Whatever the order of an array's bytes and axes, and up to its last byte."""
+    generator = np.random.default_rng(0)
+    for _ in range(60):
+        parts = {}
+        for name in ("", "a", "b")[: generator.integers(4)]:
+            dtype = np.dtype(DTYPES[generator.integers(len(DTYPES))]).newbyteorder("<>"[generator.integers(2)])
+            numbers = generator.integers(0, 99, generator.integers(0, 4, generator.integers(4)))
+            parts[name] = np.asarray(numbers, dtype).T[..., :: generator.choice([-1, 1])] if numbers.ndim else numbers
+        one, other = socket.socketpair()
+        with one, other:
+            one.sendall(Frame("written", {"of": 7}, parts).packed() + Frame("next").packed())
+            found, following = (read_frame(other, lambda: 9.0) for _ in range(2))
+        assert (found.kind, found.entries, [*found.parts], following) == ("written", {"of": 7}, [*parts], Frame("next"))
+        for name, part in parts.items():
+            np.testing.assert_array_equal(found.parts[name], part)
+            assert found.parts[name].dtype == part.dtype.newbyteorder("=")
 
 
 def test_a_server_says_what_it_serves_and_resets_its_policy() -> None:
@@ -337,6 +356,7 @@ def test_what_a_policy_does_wrong_is_one_line(policy: Any, said: str, capfd: pyt
 
 HEAD = struct.Struct("<4sII")
 BAD_SHAPE = b'{"kind": "action", "parts": [["", "float64", [-1]]]}'
+TWO = b'{"kind": "action", "parts": [["", "float64", [2]]]}'
 BAD_LENGTH = b'{"kind": "action", "parts": [["", "float64", [1000000000, 1000000000]]]}'
 
 
@@ -355,11 +375,12 @@ BAD_LENGTH = b'{"kind": "action", "parts": [["", "float64", [1000000000, 1000000
             answering(HEAD.pack(MAGIC, len(BAD_LENGTH), 8) + BAD_LENGTH + bytes(8)),
             "sent a frame whose header cannot .*",
         ),
+        *((answering(HEAD.pack(MAGIC, len(TWO), size) + TWO + bytes(size)), "sent .* not the length .*") for size in (8, 24)),
         (answering(Frame("action", parts={"": np.zeros(2)}).packed()[:-1]), "has not answered within 0.5 s"),
         (answering(Frame("error", {"line": "a\n\x1b[2Jb"}).packed()), r"a \[2Jb"),
         (answering(Frame("action", parts={"other": SEEN}).packed()), r"returned None, where an action is \(2,\)"),
     ],
-    ids=["http", "huge", "ends", "version", "kind", "list", "nested", "axis", "product", "cut", "escape", "name"],
+    ids=["http", "huge", "ends", "version", "kind", "list", "nested", "axis", "product", "few", "many", "cut", "escape", "name"],
 )
 def test_what_is_no_policy_server_is_one_line(converse: Callable[[socket.socket], object], said: str) -> None:
     with impostor(converse) as address, pytest.raises(UserError, match=f"^{address}: {said}$") as caught:

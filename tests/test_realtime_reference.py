@@ -46,7 +46,10 @@ class Ticking(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
 
 
 class Physical(Ticking):
-    """Built as Gymnasium's MuJoCo environments are; `substeps` are made whatever `frame_skip` says."""
+    """Built as Gymnasium's MuJoCo environments are; `substeps` are made whatever `frame_skip` says.
+
+    Now and then its clock is set back, as MuJoCo's is where a simulation becomes unstable.
+    """
 
     def __init__(self, frame_skip: Any, timestep_s: float, substeps: int | None = None) -> None:
         self.frame_skip, self.substeps = frame_skip, substeps
@@ -57,7 +60,8 @@ class Physical(Ticking):
 
     def _made(self) -> int:
         made = self.substeps or int(self.frame_skip)
-        self.data.time += made * self.model.opt.timestep
+        falls = not self.substeps and len(self.ticks) % 7 == 6
+        self.data.time = 0.0 if falls else self.data.time + made * self.model.opt.timestep
         return made
 
 

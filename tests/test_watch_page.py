@@ -5,12 +5,14 @@ What a browser would be shown is recorded as text (tests/golden.py).
 
 from __future__ import annotations
 
+import errno
 import importlib
 import socket
 import threading
 from collections.abc import Sequence
 from types import SimpleNamespace
 from typing import Any
+from unittest.mock import Mock
 from urllib.request import urlopen
 
 import mujoco
@@ -425,10 +427,13 @@ def test_a_foreign_page_gets_nothing_and_a_deaf_one_is_dropped(monkeypatch: pyte
         page.stop()
 
 
-def test_the_first_free_port_is_taken() -> None:
+def test_the_first_free_port_is_taken(monkeypatch: pytest.MonkeyPatch) -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
         assert beside.free_port("127.0.0.1", port) > port
     assert beside.free_port("127.0.0.1", port) == port
     with pytest.raises(UserError, match=r"at 127\.0\.0\.1: no port is free from 65536 on"):
         beside.free_port("127.0.0.1", 1 << 16)
+    create, refused = socket.create_server, PermissionError(errno.EACCES, "Permission denied")  # below 1024, if no root
+    monkeypatch.setattr(socket, "create_server", Mock(side_effect=[refused, refused, create(("127.0.0.1", 0))]))
+    assert beside.free_port("127.0.0.1", 80) == 82
