@@ -41,7 +41,6 @@ from uavaccel.fly.modules import client_modules, importing
 from uavaccel.fly.options import SUMMARY, FlightOptions
 from uavaccel.fly.script import FlightOver, run_script
 from uavaccel.fly.simulated import FREE_CALLS, READING_NS, SimulatedFlight
-from uavaccel.fly.threads import ThreadModules
 from uavaccel.kinematics import Kinematics
 from uavaccel.units import NS_PER_S
 from uavaccel.wire.rpc import RpcError
@@ -545,18 +544,6 @@ def test_a_wait_without_an_end_is_worth_a_line(
         client.moveByVelocityAsync(0, 0, 0, 3e38).join()
     line = "the script has waited 20 simulated s for moveByVelocity; the vehicle is at 0.0 0.0 "
     assert capsys.readouterr().err.count(line) == lines
-
-
-def test_a_flight_waits_for_threads_but_not_for_daemons(flight_in: FlightMaker, tmp_path: Path) -> None:
-    flight = flight_in(tmp_path)
-    make = ThreadModules(flight._turns).threading.Thread
-    make(target=lambda: flight.pass_time(9.0), daemon=True).start()
-    make(target=lambda: make(target=lambda: flight.pass_time(2.0)).start()).start()  # whose own thread is none
-    flight._outlive()
-    assert flight.summary()["script_s"] == 2.0
-    make(target=lambda: flight.pass_time(8.0)).start()  # in which the daemon ends too
-    flight._outlive()
-    assert (flight.summary()["script_s"], flight._turns.running) == (10.0, [])
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="signals")

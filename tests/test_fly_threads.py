@@ -142,17 +142,6 @@ def conditions(s: Script) -> None:
 
 
 @program
-def events(s: Script) -> None:
-    event = s.threading.Event()
-    s.ask(partial(event.wait, 0.01), partial(event.wait, 0), partial(event.wait, -1), event.is_set)
-    threads = s.start(*[lambda: s.ask(partial(event.wait, LATER_S))] * 2)
-    event.set()
-    for thread in threads:
-        thread.join()
-    s.ask(event.wait, event.is_set, event.clear, event.is_set, partial(event.wait, 0.01))
-
-
-@program
 def semaphores(s: Script) -> None:
     for kind in (s.threading.Semaphore, s.threading.BoundedSemaphore):
         places = kind(2)
@@ -249,10 +238,7 @@ def queues(s: Script) -> None:
         items.put("late")
         thread.join()
     full = s.queue.Queue(maxsize=1)
-    s.ask(partial(full.put, "one"), full.full, partial(full.put_nowait, "two"), partial(full.put, "two", timeout=0.01))
-    [thread] = s.start(lambda: s.ask(partial(full.put, "two")))
-    s.ask(full.get)
-    thread.join()
+    s.ask(partial(full.put, "two"), full.full, partial(full.put_nowait, "three"))
 
     def work() -> None:
         full.get()

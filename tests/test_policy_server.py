@@ -355,9 +355,11 @@ def test_what_a_policy_does_wrong_is_one_line(policy: Any, said: str, capfd: pyt
 
 
 HEAD = struct.Struct("<4sII")
-BAD_SHAPE = b'{"kind": "action", "parts": [["", "float64", [-1]]]}'
-TWO = b'{"kind": "action", "parts": [["", "float64", [2]]]}'
-BAD_LENGTH = b'{"kind": "action", "parts": [["", "float64", [1000000000, 1000000000]]]}'
+
+
+def framed(shape: str, size: int) -> bytes:
+    header = f'{{"kind": "action", "parts": [["", "float64", {shape}]]}}'.encode()
+    return HEAD.pack(MAGIC, len(header), size) + header + bytes(size)
 
 
 @pytest.mark.parametrize(
@@ -370,17 +372,29 @@ BAD_LENGTH = b'{"kind": "action", "parts": [["", "float64", [1000000000, 1000000
         (lambda to: (received(to), to.sendall(Frame("ready").packed())), "answered 'ready', not 'hello'"),
         (answering(HEAD.pack(MAGIC, 2, 0) + b"[]"), "sent a frame whose header cannot be read"),
         (answering(HEAD.pack(MAGIC, 1 << 16, 0) + b"[" * (1 << 16)), "sent a frame whose header cannot be read"),
-        (answering(HEAD.pack(MAGIC, len(BAD_SHAPE), 8) + BAD_SHAPE + bytes(8)), "sent a frame whose header cannot .*"),
-        (
-            answering(HEAD.pack(MAGIC, len(BAD_LENGTH), 8) + BAD_LENGTH + bytes(8)),
-            "sent a frame whose header cannot .*",
-        ),
-        *((answering(HEAD.pack(MAGIC, len(TWO), size) + TWO + bytes(size)), "sent .* not the length .*") for size in (8, 24)),
+        (answering(framed("[-1]", 8)), "sent a frame whose header cannot .*"),
+        (answering(framed("[1000000000, 1000000000]", 8)), "sent a frame whose header cannot .*"),
+        *((answering(framed("[2]", size)), "sent a frame whose arrays have not the length .*") for size in (8, 24)),
         (answering(Frame("action", parts={"": np.zeros(2)}).packed()[:-1]), "has not answered within 0.5 s"),
         (answering(Frame("error", {"line": "a\n\x1b[2Jb"}).packed()), r"a \[2Jb"),
         (answering(Frame("action", parts={"other": SEEN}).packed()), r"returned None, where an action is \(2,\)"),
     ],
-    ids=["http", "huge", "ends", "version", "kind", "list", "nested", "axis", "product", "few", "many", "cut", "escape", "name"],
+    ids=[
+        "http",
+        "huge",
+        "ends",
+        "version",
+        "kind",
+        "list",
+        "nested",
+        "axis",
+        "product",
+        "few",
+        "many",
+        "cut",
+        "escape",
+        "name",
+    ],
 )
 def test_what_is_no_policy_server_is_one_line(converse: Callable[[socket.socket], object], said: str) -> None:
     with impostor(converse) as address, pytest.raises(UserError, match=f"^{address}: {said}$") as caught:
