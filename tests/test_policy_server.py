@@ -379,22 +379,6 @@ def framed(shape: str, size: int) -> bytes:
         (answering(Frame("error", {"line": "a\n\x1b[2Jb"}).packed()), r"a \[2Jb"),
         (answering(Frame("action", parts={"other": SEEN}).packed()), r"returned None, where an action is \(2,\)"),
     ],
-    ids=[
-        "http",
-        "huge",
-        "ends",
-        "version",
-        "kind",
-        "list",
-        "nested",
-        "axis",
-        "product",
-        "few",
-        "many",
-        "cut",
-        "escape",
-        "name",
-    ],
 )
 def test_what_is_no_policy_server_is_one_line(converse: Callable[[socket.socket], object], said: str) -> None:
     with impostor(converse) as address, pytest.raises(UserError, match=f"^{address}: {said}$") as caught:
