@@ -243,7 +243,6 @@ def queues(s: Script) -> None:
     def work() -> None:
         full.get()
         full.task_done()
-        full.task_done()
 
     [thread] = s.start(work)
     s.ask(full.join, full.task_done)
