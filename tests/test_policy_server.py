@@ -199,7 +199,7 @@ def test_a_server_says_what_it_serves_and_resets_its_policy() -> None:
     begun: list[int | None] = []
 
     class Named:
-        name, sha256 = "mine", "ab" * 32
+        name, sha256 = "mine", "ab\x1b\n" * 32
 
         def __call__(self, seen: Any) -> Any:
             return np.float64(seen[:2])
@@ -212,7 +212,7 @@ def test_a_server_says_what_it_serves_and_resets_its_policy() -> None:
         policy.reset(5)
         policy.reset()
         np.testing.assert_array_equal(policy(SEEN), SEEN[:2])
-    assert (policy.name, policy.sha256, begun) == (server.address, "ab" * 32, [5, None])
+    assert (policy.name, policy.sha256, begun) == (server.address, "ab " * 31 + "ab", [5, None])
 
 
 @pytest.mark.skipif(not Path("/proc/net/if_inet6").exists(), reason="this machine has no IPv6")
