@@ -150,7 +150,8 @@ def flown(flight: SimulatedFlight, kind: str, size: float, programs: list[list[D
 
     acts: dict[str, Callable[[Any, int], Any]] = {
         "sleep": lambda s, _: flight.pass_time(s), "fly": fly, "wait": lambda s, _: event.wait(s),
-        "take": lambda s, _: lock.acquire(timeout=-1 if s is None else s), "give": lambda _, what: (lock.release, lock.__exit__)[what % 2](),
+        "take": lambda s, _: lock.acquire(timeout=-1 if s is None else s),
+        "give": lambda _, what: (lock.release, lock.__exit__)[what % 2](),
         "acquire": lambda s, _: places.acquire(timeout=s), "release": lambda *_: places.release(),
         "get": lambda s, _: items.get(timeout=s), "put": lambda s, what: items.put(what, timeout=s),
         "set": lambda *_: event.set(), "clear": lambda *_: event.clear(), "join": lambda s, whom: threads[whom].join(s),
