@@ -32,7 +32,7 @@ from uavaccel.watch.scene import Drone, Eyes, Scene
 pytestmark = pytest.mark.usefixtures("without_camera")
 
 # A floor of 6 x 4 m whose texture, red above green, repeats thrice northwards and twice westwards; solids of every
-# kind; a hull, a geom far below, and a vehicle that is turned by a quarter and has a rotor beside its middle.
+# kind; hulls, a geom far below, and a vehicle that is turned by a quarter and has a rotor beside its middle.
 MODEL = """
 <mujoco>
   <asset>
@@ -53,6 +53,7 @@ MODEL = """
       <freejoint/>
       <geom type="box" size="0.3 0.1 0.05" rgba="0 0 0 1"/>
       <geom type="cylinder" size="0.1 0.01" pos="0.2 0 0.05" rgba="1 1 1 1"/>
+      <geom type="sphere" size="0.4" group="3"/>
     </body>
     <body name="b" pos="20 0 5">
       <freejoint/>
