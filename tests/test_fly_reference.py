@@ -139,7 +139,8 @@ class Reference:
 def flown(flight: SimulatedFlight, kind: str, size: float, programs: list[list[Deed]], speed: float) -> list[Any]:
     """Return what the threads of a script say."""
     turns, client, said = flight._turns, client_of(flight), list[Any]()
-    threading, queue = map(ThreadModules(turns).in_scripts().get, ("threading", "queue"))
+    modules: Any = ThreadModules(turns).in_scripts()
+    threading, queue = modules["threading"], modules["queue"]
     lock, places, event = threading.Lock(), threading.Semaphore(1), threading.Event()
     items = getattr(queue, kind)(*() if size == inf else (size,))
     begun_ns = turns.now_ns()
