@@ -378,8 +378,8 @@ def test_what_was_measured_is_replayed_without_the_warm_up() -> None:
 
 def test_what_is_made_is_closed_and_a_program_keeps_its_threads(monkeypatch: pytest.MonkeyPatch) -> None:
     """Each episode of a measurement begins with the policy's reset too; an evaluation is flown in one thread."""
-    monkeypatch.setattr("uavaccel.realtime.thinking.MonotonicClock", lambda: clock)
     clock, closed, begun, threads = VirtualClock(), list[Any](), list[Any](), set[int]()
+    monkeypatch.setattr("uavaccel.realtime.thinking.MonotonicClock", lambda: clock)
 
     class Closing(Count):
         def close(self) -> None:

@@ -182,7 +182,7 @@ def test_a_frame_is_read_as_it_was_written() -> None:
     for _ in range(60):
         parts = {}
         for name in ("", "a", "b")[: generator.integers(4)]:
-            dtype = np.dtype(DTYPES[generator.integers(len(DTYPES))]).newbyteorder("<>"[generator.integers(2)])
+            dtype = np.dtype(generator.choice(DTYPES)).newbyteorder("<" if generator.integers(2) else ">")
             numbers = generator.integers(0, 99, generator.integers(0, 4, generator.integers(4)))
             parts[name] = np.asarray(numbers, dtype).T[..., :: generator.choice([-1, 1])] if numbers.ndim else numbers
         one, other = socket.socketpair()
