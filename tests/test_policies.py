@@ -29,7 +29,7 @@ class Space:
 
 
 REACH = Space(spaces.Box(-1.0, 1.0, (4,), np.float64), spaces.Box(-0.5, 0.5, (2,), np.float32))
-PICK = Space(spaces.Box(-1.0, 1.0, (4,), np.float64), spaces.Discrete(3, start=2))
+PICK = Space(spaces.Box(-1.0, 1.0, (2, 2), np.float64), spaces.Discrete(3, start=2))
 PARTS = Space(spaces.Dict({"at": spaces.Box(-1.0, 1.0, (4,)), "to": spaces.Box(-1.0, 1.0, (2,))}), REACH.action_space)
 
 
@@ -65,7 +65,7 @@ def test_a_module_of_pytorch_acts_on_batches_of_one(env: Space, kind: str) -> No
     """Nothing is dropped out, vectors are clipped, of ratings the best is taken; so it is as a TorchScript file."""
     th.manual_seed(0)
     layer = th.nn.Linear(4, 3 if env is PICK else 2)
-    module = Sum() if env is PARTS else th.nn.Sequential(th.nn.Dropout(0.9), layer)
+    module = Sum() if env is PARTS else th.nn.Sequential(th.nn.Dropout(0.9), th.nn.Flatten(), layer)
     if kind == "file":
         scripted(module)
     policy = load_policy(module if kind == "module" else "policy.pt", env, trust=True)
@@ -114,7 +114,8 @@ def test_an_onnx_file_acts_in_any_environment() -> None:
         warnings.simplefilter("ignore")
         program: Any = th.onnx.export(network, (th.zeros(1, 4),), dynamo=True, verbose=False)
     Path("policy.onnx").write_bytes(program.model_proto.SerializeToString())
-    policy, seen = load_policy("policy.onnx", PICK), np.array([0.1, -0.2, 0.3, 0.4])
+    pick = Space(REACH.observation_space, PICK.action_space)
+    policy, seen = load_policy("policy.onnx", pick), np.array([0.1, -0.2, 0.3, 0.4])
     with th.no_grad():
         assert policy(seen) == 2 + int(network(th.as_tensor(seen, dtype=th.float32)[None])[0].argmax())
     with pytest.raises(UserError, match=r"^policy\.onnx: its observations are \(4,\), the environment's \(1,\)$"):
