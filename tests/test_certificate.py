@@ -196,10 +196,9 @@ def test_an_evaluation_that_was_interrupted_ends_with_the_same_bytes(call: int) 
     certify(Count, Drawing(), out="whole", **TIMES)
     certify(Count, Drawing(), out="again", **TIMES)
     assert contents("again") == contents("whole")
-    with pytest.raises(
-        Interrupted, match=r"^interrupted after \d+ of 15 episodes; go on with it, in part, by --resume"
-    ):
-        certify(Count, Drawing(interrupt), out="part", **TIMES)
+    for resume, before in ((False, interrupt), (True, lambda now: interrupt(call))):
+        with pytest.raises(Interrupted, match=r"^interrupted after \d+ of 15 episodes; go on .*, in part, by --resume"):
+            certify(Count, Drawing(before), out="part", resume=resume, **TIMES)
     with open("part/rows.jsonl", "a") as file:
         file.write('{"latency": 0')  # as a crash leaves it
     certify(Count, Drawing(), out="part", resume=True, **TIMES)

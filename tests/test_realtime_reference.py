@@ -111,7 +111,7 @@ def drawn(generator: np.random.Generator) -> Drawn:
         tick_s, period = float(one_of(0.01, 0.002)), int(one_of(1, 3, 4, 5))
         env: Any = Physical(np.int64(period), tick_s, period if kind == "fixed" else None)
     else:
-        env = Ticking()
+        env = Physical(1, 0.01) if kind == "period_s" and one_of(False, True) else Ticking()
         (keys if kind == "period_s" else vars(env))[kind] = number(tick_s)
     env.end = int(one_of(10**9, generator.integers(1, 120)))
     limits = [int(generator.integers(1, 9)) for _ in range(one_of(0, 1, 2))]
