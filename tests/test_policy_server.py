@@ -399,10 +399,11 @@ def test_a_server_of_other_spaces_is_one_line() -> None:
 
     with impostor(escape) as address, pytest.raises(UserError, match=f"^{address}: {said}"):
         load_policy(address, Spaces())
-    env = Spaces()
-    env.observation_space = spaces.Text(5)
-    with pytest.raises(UserError, match=r"^policy server: carries arrays, and dictionaries of arrays, not a Text"):
-        PolicyServer(lambda seen: seen, env=env)
+    env, at = Spaces(), Spaces.observation_space
+    for space in (spaces.Text(5), spaces.Dict({"at": at, "in": spaces.Dict({"at": at})}), spaces.Dict({"": at})):
+        env.observation_space = space
+        with pytest.raises(UserError, match=r"^policy server: carries arrays, and .* of arrays, not a (Text|Dict)\("):
+            PolicyServer(lambda seen: seen, env=env)
 
 
 def test_an_address_serves_one_policy_for_as_long_as_it_is_used() -> None:
