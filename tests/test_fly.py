@@ -310,9 +310,8 @@ def test_until_keeps_the_flight_of_a_script_that_catches_all(timing: str, folder
     out = folder.path / "out"
     done = folder.fly(text, "--until", "0.5", "--timing", timing, "--out", str(out))
     assert done.returncode == 0, done.stderr
-    told = re.match(r"stopped by --until; 0\.\d+ simulated s in ([0-9.]+) s", done.stdout)
-    assert told is not None
-    assert float(told[1]) < 30.0  # the script's, not the machine's
+    [wall_s] = re.findall(r"^stopped by --until; 0\.\d+ simulated s in ([0-9.]+) s", done.stdout)
+    assert float(wall_s) < 30.0  # the script's, not the machine's
     assert "uavaccel: the script catches every exception and does not end; it is ended here" in done.stderr
     with np.load(out / "trajectory.npz") as kept:
         assert len(kept["time_ns"]) >= 10

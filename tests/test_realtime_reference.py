@@ -46,10 +46,7 @@ class Ticking(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
 
 
 class Physical(Ticking):
-    """Built as Gymnasium's MuJoCo environments are; `substeps` are made whatever `frame_skip` says.
-
-    Now and then its clock is set back, as MuJoCo's is where a simulation becomes unstable.
-    """
+    """Like Gymnasium's MuJoCo's, clocks of unstable ones too; `substeps` are made whatever `frame_skip` says."""
 
     def __init__(self, frame_skip: Any, timestep_s: float, substeps: int | None = None) -> None:
         self.frame_skip, self.substeps = frame_skip, substeps
