@@ -28,12 +28,14 @@ from tests.conftest import forget_own_code
 from tests.opengl import needs_opengl
 from tests.test_policy_server import PACKAGE, STRANGER, process
 from uavaccel.cli.main import app
+from uavaccel.clock import VirtualClock
 from uavaccel.errors import Interrupted, UsageError, UserError
 from uavaccel.files import file_sha256
 from uavaccel.metrics.intervals import Proportion
 from uavaccel.realtime import Certificate, Measurement, RealTime, certify, measure
 from uavaccel.realtime.thinking import thinking_time
 from uavaccel.rl.agents import origin_of
+from uavaccel.units import NS_PER_S
 from uavaccel.wire.latency import read_latency
 
 pytestmark = pytest.mark.usefixtures("here")
@@ -207,10 +209,9 @@ def test_an_evaluation_that_was_interrupted_ends_with_the_same_bytes(call: int) 
     certify(Count, Drawing(), out="whole", **TIMES)
     certify(Count, Drawing(), out="again", **TIMES)
     assert contents("again") == contents("whole")
-    with pytest.raises(
-        Interrupted, match=r"^interrupted after \d+ of 15 episodes; go on with it, in part, by --resume"
-    ):
-        certify(Count, Drawing(interrupt), out="part", **TIMES)
+    for resume, before in ((False, interrupt), (True, lambda now: interrupt(call))):
+        with pytest.raises(Interrupted, match=r"^interrupted after \d+ of 15 episodes; go on .*, in part, by --resume"):
+            certify(Count, Drawing(before), out="part", resume=resume, **TIMES)
     with open("part/rows.jsonl", "a") as file:
         file.write('{"latency": 0')  # as a crash leaves it
     certify(Count, Drawing(), out="part", resume=True, **TIMES)
@@ -387,9 +388,10 @@ def test_what_was_measured_is_replayed_without_the_warm_up() -> None:
     assert len([*found.lines()]) == 3
 
 
-def test_what_is_made_is_closed_and_a_program_keeps_its_threads() -> None:
+def test_what_is_made_is_closed_and_a_program_keeps_its_threads(monkeypatch: pytest.MonkeyPatch) -> None:
     """Each episode of a measurement begins with the policy's reset too; an evaluation is flown in one thread."""
-    closed, begun, threads = list[Any](), list[Any](), set[int]()
+    clock, closed, begun, threads = VirtualClock(), list[Any](), list[Any](), set[int]()
+    monkeypatch.setattr("uavaccel.realtime.thinking.MonotonicClock", lambda: clock)
 
     class Closing(Count):
         def close(self) -> None:
@@ -398,15 +400,17 @@ def test_what_is_made_is_closed_and_a_program_keeps_its_threads() -> None:
     class Noting:
         def reset(self, seed: int | None) -> None:
             begun.append(seed)
+            clock.charge(NS_PER_S)  # which is no thinking
 
         def __call__(self, seen: Any) -> Any:
+            clock.charge(2_000_000)
             threads.add(th.get_num_threads())
             return seen
 
     before = th.get_num_threads()
     th.set_num_threads(2)
     try:
-        measure(Closing, Noting(), steps=40, warm_up=0, seed=7)
+        assert {*measure(Closing, Noting(), steps=40, warm_up=0, seed=7).taken_ns} == {2_000_000}
         assert (len(closed), begun[0], {*begun[1:]}, threads.pop()) == (1, 7, {None}, 2)  # of thirty steps at most
         certify(Closing, Noting(), [0.01], episodes=1)
         assert (len(set(closed)), threads, th.get_num_threads()) == (4, {1}, 2)  # one to look at, one for each latency

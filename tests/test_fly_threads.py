@@ -1,7 +1,8 @@
 """Threads under `uavaccel fly`: small programs do on the simulated clock what they do on Python's own threads.
 
 The programs of `PROGRAMS` run both ways, and must say the same. What Python leaves to chance, the simulated clock
-decides: the tests after them hold its order, its times, and what becomes of a script that waits for nobody.
+decides: the tests after them, and test_fly_reference, hold its order, its times, and what becomes of a script that
+waits for nobody.
 """
 
 from __future__ import annotations
@@ -113,19 +114,6 @@ def locks_that_may_be_taken_again(s: Script) -> None:
 
 
 @program
-def who_waits_first_is_let_in_first(s: Script) -> None:
-    lock = s.threading.Lock()
-
-    def work(name: int) -> None:
-        s.units(name)
-        with lock:
-            s.say(name)
-            s.units(4)
-
-    s.run(*(partial(work, name) for name in range(3)))
-
-
-@program
 def conditions(s: Script) -> None:
     for lock, holds in ((None, 3), (s.threading.Lock(), 1), (s.threading.RLock(), 2)):
         condition = s.threading.Condition(lock)
@@ -151,17 +139,6 @@ def conditions(s: Script) -> None:
             s.ask(partial(condition.wait, 0.01), partial(condition.wait, 0), partial(condition.wait, -1))
             s.ask(partial(condition.wait_for, lambda: 0, 0.01), partial(condition.wait_for, lambda: 7))
         s.ask(partial(condition.acquire, False), condition.release)
-
-
-@program
-def events(s: Script) -> None:
-    event = s.threading.Event()
-    s.ask(partial(event.wait, 0.01), partial(event.wait, 0), partial(event.wait, -1), event.is_set)
-    threads = s.start(*[lambda: s.ask(partial(event.wait, LATER_S))] * 2)
-    event.set()
-    for thread in threads:
-        thread.join()
-    s.ask(event.wait, event.is_set, event.clear, event.is_set, partial(event.wait, 0.01))
 
 
 @program
@@ -261,14 +238,10 @@ def queues(s: Script) -> None:
         items.put("late")
         thread.join()
     full = s.queue.Queue(maxsize=1)
-    s.ask(partial(full.put, "one"), full.full, partial(full.put_nowait, "two"), partial(full.put, "two", timeout=0.01))
-    [thread] = s.start(lambda: s.ask(partial(full.put, "two")))
-    s.ask(full.get)
-    thread.join()
+    s.ask(partial(full.put, "two"), full.full, partial(full.put_nowait, "three"))
 
     def work() -> None:
         full.get()
-        full.task_done()
         full.task_done()
 
     [thread] = s.start(work)
@@ -545,44 +518,6 @@ def test_a_program_says_what_it_says_on_pythons_threads(
 
 def seconds(script: Any) -> float:
     return round(script.clock.now_ns() / NS_PER_S, 3)
-
-
-def test_threads_run_in_the_order_of_the_times_they_wait_for(script: Any) -> None:
-    def beat(name: str, period_s: float) -> None:
-        for _ in range(3):
-            script.sleep(period_s)
-            script.say(name, seconds(script))
-
-    threads = script.start(partial(beat, "slow", 0.5), partial(beat, "fast", 0.2))
-    assert (script.threading.active_count(), script.threading.enumerate()[1:]) == (3, threads)
-    for thread in threads:
-        thread.join()
-    assert script.said == [
-        ("fast", 0.2), ("fast", 0.4), ("slow", 0.5), ("fast", 0.6), ("slow", 1.0), ("slow", 1.5),
-    ]  # fmt: skip
-    assert (script.running, script.threading.active_count()) == ([], 1)
-
-
-def test_each_wait_takes_the_time_it_says_and_a_try_none(script: Any) -> None:
-    """To the nanosecond: time-outs of locks, queues, conditions and joins, and calls that do not wait."""
-    lock, full, condition = script.threading.Lock(), script.queue.Queue(1), script.threading.Condition()
-    lock.acquire()
-    full.put(1)
-    [thread] = script.start(partial(script.sleep, 100.0))
-    places, event, simple = script.threading.Semaphore(0), script.threading.Event(), script.queue.SimpleQueue()
-    with condition:
-        for timeout_s, wait in (
-            (0.5, lambda s: lock.acquire(timeout=s)), (0.25, lambda s: full.put(2, timeout=s)), (2.0, condition.wait),
-            (1.5, lambda s: condition.wait_for(lambda: False, s)), (0.125, lambda s: places.acquire(timeout=s)),
-            (3.0, event.wait), (1.0, lambda s: simple.get(timeout=s)), (4.0, thread.join), (7.0, script.sleep),
-            (0.0, lambda s: lock.acquire(False)), (0.0, lambda s: places.acquire(False)),
-            (0.0, lambda s: full.put(2, False)), (0.0, lambda s: simple.get(False)), (0.0, event.wait),
-        ):  # fmt: skip
-            begun_ns = script.clock.now_ns()
-            script.ask(partial(wait, timeout_s))
-            assert script.clock.now_ns() - begun_ns == timeout_s * NS_PER_S
-    thread.join()
-    assert seconds(script) == 100.0
 
 
 def test_pools_take_the_time_of_their_longest_calls(script: Any) -> None:

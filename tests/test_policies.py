@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +29,7 @@ class Space:
 
 
 REACH = Space(spaces.Box(-1.0, 1.0, (4,), np.float64), spaces.Box(-0.5, 0.5, (2,), np.float32))
-PICK = Space(spaces.Box(-1.0, 1.0, (4,), np.float64), spaces.Discrete(3, start=2))
+PICK = Space(spaces.Box(-1.0, 1.0, (2, 2), np.float64), spaces.Discrete(3, start=2))
 PARTS = Space(spaces.Dict({"at": spaces.Box(-1.0, 1.0, (4,)), "to": spaces.Box(-1.0, 1.0, (2,))}), REACH.action_space)
 
 
@@ -46,7 +47,7 @@ def scripted(module: th.nn.Module) -> None:
 # --- what acts as it does at home -------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("algorithm", "env_id"), [("PPO", "CartPole-v1"), ("SAC", "Pendulum-v1")])
+@pytest.mark.parametrize(("algorithm", "env_id"), [("A2C", "CartPole-v1"), ("SAC", "Pendulum-v1")])
 def test_a_model_of_stable_baselines3_acts_in_any_environment(algorithm: str, env_id: str) -> None:
     env = gymnasium.make(env_id)
     model = getattr(sb3, algorithm)("MlpPolicy", env, policy_kwargs={"net_arch": [8]}, device="cpu")
@@ -64,7 +65,7 @@ def test_a_module_of_pytorch_acts_on_batches_of_one(env: Space, kind: str) -> No
     """Nothing is dropped out, vectors are clipped, of ratings the best is taken; so it is as a TorchScript file."""
     th.manual_seed(0)
     layer = th.nn.Linear(4, 3 if env is PICK else 2)
-    module = Sum() if env is PARTS else th.nn.Sequential(th.nn.Dropout(0.9), layer)
+    module = Sum() if env is PARTS else th.nn.Sequential(th.nn.Dropout(0.9), th.nn.Flatten(), layer)
     if kind == "file":
         scripted(module)
     policy = load_policy(module if kind == "module" else "policy.pt", env, trust=True)
@@ -113,7 +114,8 @@ def test_an_onnx_file_acts_in_any_environment() -> None:
         warnings.simplefilter("ignore")
         program: Any = th.onnx.export(network, (th.zeros(1, 4),), dynamo=True, verbose=False)
     Path("policy.onnx").write_bytes(program.model_proto.SerializeToString())
-    policy, seen = load_policy("policy.onnx", PICK), np.array([0.1, -0.2, 0.3, 0.4])
+    pick = Space(REACH.observation_space, PICK.action_space)
+    policy, seen = load_policy("policy.onnx", pick), np.array([0.1, -0.2, 0.3, 0.4])
     with th.no_grad():
         assert policy(seen) == 2 + int(network(th.as_tensor(seen, dtype=th.float32)[None])[0].argmax())
     with pytest.raises(UserError, match=r"^policy\.onnx: its observations are \(4,\), the environment's \(1,\)$"):
@@ -177,6 +179,7 @@ def test_only_what_is_trusted_runs() -> None:
         ("none.pt", "none.pt: no such file"),
         ("text.pt", "text.pt: is no TorchScript file: "),
         ("text.zip", "text.zip: is no model that stable-baselines3 has saved: "),
+        ("plain.zip", "plain.zip: its policy cannot be made for this task: "),
         ("none.py:act", "policy 'none.py:act': no module 'none' in "),
         ("tcp://here", "policy 'tcp://here': must be tcp://host:port, as in "),
         ("tcp://127.0.0.1:99999", "policy 'tcp://127.0.0.1:99999': must be tcp://host:port, as in "),
@@ -186,6 +189,8 @@ def test_only_what_is_trusted_runs() -> None:
 def test_what_is_no_policy_is_one_line(policy: Any, said: str) -> None:
     for name in ("text.pt", "text.zip"):
         Path(name).write_text("{}")
+    with zipfile.ZipFile("plain.zip", "w") as archive:
+        archive.writestr("data", '{"observation_space": "n", "action_space": "n", "policy_class": "n"}')
     with pytest.raises(UserError, match=f"^{said}") as caught:
         load_policy(policy, REACH, trust=True)
     assert "\n" not in str(caught.value)

@@ -309,7 +309,7 @@ HOVER: dict[str, Any] = {"timing": "virtual"}
         ({"default_action": [3.0]}, "default_action: .* is not in Box"),
         ({"default_action": "up"}, "default_action: 'up' is not in Box"),
         ({"period_s": 0}, "period_s: must be a number of seconds, 1e-9 to 1e6, not 0"),
-        ({"observe_actions": -1}, "observe_actions: must be 0 to 4,096 actions, not -1"),
+        ({"observe_actions": 1.5}, "observe_actions: must be 0 to 4,096 actions, not 1.5$"),
     ],
 )
 def test_a_value_that_does_not_fit_is_one_line(keys: dict[str, Any], said: str) -> None:

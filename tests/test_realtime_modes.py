@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from fractions import Fraction
 from itertools import islice
 from typing import Any
 
@@ -169,44 +168,6 @@ def ensembling(length: int, weight: float) -> Iterator[float]:
 def test_an_ensemble_is_the_papers(length: int, weight: float) -> None:
     keys = {"latency_s": 0.0, "chunk": length, "execute": 1, "ensemble": weight}
     the_same(flown(keys, lambda place, _: policy(length, place)), ensembling(length, weight))
-
-
-# --- a queue of actions, which an inference at a time refills -------------------------------------------------------
-
-
-def queueing(length: int, execute: int, delay: int, keys: dict[str, Any]) -> Iterator[float]:
-    """A client pops an action a period, or does what it does where there is none; a chunk replaces what is left. It
-    observes again `execute` periods after its last observation, asynchronously, or after its last chunk arrived."""
-    place, last, queue, sent, arrived, chunk = 0.5, 0.0, Chunk(), None, 0, Chunk()
-    due = 0
-    for period in range(10**9):
-        if sent is None and period >= due:
-            sent, chunk = period, policy(length, place)
-        if sent is not None and period == sent + delay:
-            queue, arrived = chunk[delay if keys["frozen_prefix"] else 0 :], period
-            due, sent = (sent if keys["overlap"] else arrived) + execute, None
-            if due <= period:
-                sent, chunk = period, policy(length, place)
-        last = queue.pop(0) if queue else last if keys["meanwhile"] == "hold" else 0.0
-        yield last
-        place = moved(place, last)
-
-
-@given(
-    st.integers(2, 8), st.data(), st.booleans(), st.booleans(), st.sampled_from(["hold", "default"]),
-    st.sampled_from(["0.02", "0.1", "0.3"]), st.sampled_from(["0.5", "1", "4"]), st.integers(0, 900),
-)  # fmt: skip
-@settings(deadline=None, max_examples=200)
-def test_a_queue_of_actions_runs_dry_and_is_refilled(
-    length: int, data: st.DataObject, overlap: bool, frozen: bool, meanwhile: str, period: str, speed: str, ms: int
-) -> None:
-    """Over periods, latencies, ClockSpeeds and chunks; a chunk that is late by more than its length leaves nothing."""
-    execute = data.draw(st.integers(1, length))
-    delay = math.ceil(Fraction(ms, 1000) * Fraction(speed) / Fraction(period))
-    how = {"overlap": overlap, "frozen_prefix": frozen, "meanwhile": meanwhile}
-    keys = {"latency_s": ms / 1000, "clock_speed": float(speed), "period_s": float(period), "chunk": length}
-    actions = flown({**keys, "execute": execute, **how}, lambda place, _: policy(length, place))
-    the_same(actions, queueing(length, execute, delay, how))
 
 
 def test_what_is_planned_is_what_is_applied_if_nothing_else_arrives() -> None:

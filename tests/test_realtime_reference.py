@@ -46,7 +46,7 @@ class Ticking(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
 
 
 class Physical(Ticking):
-    """Built as Gymnasium's MuJoCo environments are; `substeps` are made whatever `frame_skip` says."""
+    """Like Gymnasium's MuJoCo's, clocks of unstable ones too; `substeps` are made whatever `frame_skip` says."""
 
     def __init__(self, frame_skip: Any, timestep_s: float, substeps: int | None = None) -> None:
         self.frame_skip, self.substeps = frame_skip, substeps
@@ -57,7 +57,8 @@ class Physical(Ticking):
 
     def _made(self) -> int:
         made = self.substeps or int(self.frame_skip)
-        self.data.time += made * self.model.opt.timestep
+        falls = not self.substeps and len(self.ticks) % 7 == 6
+        self.data.time = 0.0 if falls else self.data.time + made * self.model.opt.timestep
         return made
 
 
@@ -81,13 +82,13 @@ def drawn(generator: np.random.Generator) -> Drawn:
         return choices[generator.integers(len(choices))]
 
     number = one_of(float, np.float32, np.float64)
-    latencies = [float(each) for each in generator.choice([0, 0.005, 0.02, 0.05, 0.1, 0.37], 3)]
+    latencies = [float(each) for each in generator.choice([0, 0.003, 0.013, 0.02, 0.05, 0.37], 3)]
     chunk = int(one_of(1, 1, 2, 3, 5))
     execute = int(generator.integers(1, chunk + 1))
     starts = one_of({"overlap": False}, {"overlap": True}, {"early": int(generator.integers(0, execute))})
     keys: dict[str, Any] = {
         "latency_s": one_of(number(latencies[0]), latencies, tuple(latencies), np.array(latencies, np.float32)),
-        "command": one_of("adsc", "adsc", "adsc", "tcsc"),
+        "command": one_of(*["adsc"] * 5, "tcsc"),
         "clock_speed": one_of(1, number(2.5), np.int64(10), number(0.3)),
         "meanwhile": one_of("hold", "default"),
         "default_action": one_of(None, [-0.5], np.full(1, 0.25, np.float64)),
@@ -102,15 +103,15 @@ def drawn(generator: np.random.Generator) -> Drawn:
         "observe_planned": np.int32(one_of(0, 0, 2)),
     }
     tick_s, period, refused = float(one_of(0.02, 0.05, 0.03)), 1, ""
-    kind = one_of("dt", "tau", "period_s", "physical", "physical", "fixed")
+    kind = one_of("dt", "tau", "period_s", *["physical"] * 4, "fixed")
     if kind in ("physical", "fixed"):
-        tick_s, period = float(one_of(0.01, 0.002)), int(one_of(1, 2, 4, 5))
+        tick_s, period = float(one_of(0.01, 0.002)), int(one_of(1, 3, 4, 5))
         env: Any = Physical(np.int64(period), tick_s, period if kind == "fixed" else None)
     else:
-        env = Ticking()
+        env = Physical(1, 0.01) if kind == "period_s" and one_of(False, True) else Ticking()
         (keys if kind == "period_s" else vars(env))[kind] = number(tick_s)
     env.end = int(one_of(10**9, generator.integers(1, 120)))
-    limits = [int(generator.integers(1, 40)) for _ in range(one_of(0, 1, 2))]
+    limits = [int(generator.integers(1, 9)) for _ in range(one_of(0, 1, 2))]
     for limit in limits:
         env = TimeLimit(env, limit)
     if one_of(*[False] * 15, True):
@@ -175,7 +176,8 @@ class Reference:
         speed, early = float(str(keys["clock_speed"])), keys.get("early", 0)
         paused = keys["command"] == "tcsc" or (keys["head_start"] and not self.has_acted)
         due = 0 if paused else math.ceil(round(latency_s * speed / given.tick_s, 9))
-        waited = self.pass_on(max(due, early * given.period if self.has_acted else 0))
+        waited = self.pass_on(due)
+        waited += self.pass_on((early * given.period if self.has_acted else 0) - waited)
         if not (self.terminated or self.truncated):
             begin = len(self.ticks) - (waited if keys["frozen_prefix"] else 0)
             self.chunks = [*(self.chunks if keys["ensemble"] is not None else []), (begin, chunk)]

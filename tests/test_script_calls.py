@@ -37,7 +37,7 @@ from uavaccel.fly.script import FlightOver, checked_output
 
 FILE = Path(__file__).parent / "data/scripts.txt"
 SCRIPTS = {scenario.heading: scenario for scenario in scenarios(FILE)}
-KEPT = ("status", "finished", "error", "calls", "script_s", "slept_s", "refused")
+KEPT = ("status", "finished", "error", "calls", "script_s", "slept_s", "simulated_s", "refused")
 CHANGED = (
     *("atexit", "builtins", "cv2", "gymnasium", "matplotlib", "matplotlib.pyplot", "numpy"),
     *("numpy.random.bit_generator", "random", "socket", "socketserver", "select", "selectors", "queue", "threading"),

@@ -5,12 +5,14 @@ What a browser would be shown is recorded as text (tests/golden.py).
 
 from __future__ import annotations
 
+import errno
 import importlib
 import socket
 import threading
 from collections.abc import Sequence
 from types import SimpleNamespace
 from typing import Any
+from unittest.mock import Mock
 from urllib.request import urlopen
 
 import mujoco
@@ -30,7 +32,7 @@ from uavaccel.watch.scene import Drone, Eyes, Scene
 pytestmark = pytest.mark.usefixtures("without_camera")
 
 # A floor of 6 x 4 m whose texture, red above green, repeats thrice northwards and twice westwards; solids of every
-# kind; a hull, a geom far below, and a vehicle that is turned by a quarter and has a rotor beside its middle.
+# kind; hulls, a geom far below, and a vehicle that is turned by a quarter and has a rotor beside its middle.
 MODEL = """
 <mujoco>
   <asset>
@@ -51,6 +53,7 @@ MODEL = """
       <freejoint/>
       <geom type="box" size="0.3 0.1 0.05" rgba="0 0 0 1"/>
       <geom type="cylinder" size="0.1 0.01" pos="0.2 0 0.05" rgba="1 1 1 1"/>
+      <geom type="sphere" size="0.4" group="3"/>
     </body>
     <body name="b" pos="20 0 5">
       <freejoint/>
@@ -425,10 +428,13 @@ def test_a_foreign_page_gets_nothing_and_a_deaf_one_is_dropped(monkeypatch: pyte
         page.stop()
 
 
-def test_the_first_free_port_is_taken() -> None:
+def test_the_first_free_port_is_taken(monkeypatch: pytest.MonkeyPatch) -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
         assert beside.free_port("127.0.0.1", port) > port
     assert beside.free_port("127.0.0.1", port) == port
     with pytest.raises(UserError, match=r"at 127\.0\.0\.1: no port is free from 65536 on"):
         beside.free_port("127.0.0.1", 1 << 16)
+    create, refused = socket.create_server, PermissionError(errno.EACCES, "Permission denied")  # below 1024, if no root
+    monkeypatch.setattr(socket, "create_server", Mock(side_effect=[refused, refused, create(("127.0.0.1", 0))]))
+    assert beside.free_port("127.0.0.1", 80) == 82

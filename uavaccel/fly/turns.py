@@ -127,10 +127,11 @@ class Turns:
         self._threads.add(threading.get_ident())
 
     def end(self) -> None:
+        following = self._following() if self._waiting else None  # to which this thread is no stranger yet
         self._threads.discard(threading.get_ident())
         self.before_passing()
-        if self._waiting:
-            self._following().begins.set()
+        if following is not None:
+            following.begins.set()
 
     def forked(self, clock: WallClock) -> None:
         """In a forked process, go on with its only thread on another clock."""
