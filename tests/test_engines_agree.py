@@ -20,7 +20,7 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from tests.host_kernels import ON_A_GPU, a_gpu, host_kernels  # noqa: F401 - fixtures
-from tests.lanes import SideBySide, assert_same, stored
+from tests.lanes import SideBySide, assert_close, assert_same, stored
 from tests.own_tasks import Post, Resting, Spin
 from uavaccel.envs import kernel_games
 from uavaccel.envs.arrays import mapped, select
@@ -392,18 +392,6 @@ def one_lane(info: Any, lane: int) -> Any:
     if not isinstance(info, dict):
         return info[lane].tolist()
     return {name: one_lane(value, lane) for name, value in info.items() if not name.startswith("_")}
-
-
-def assert_close(ours: Any, theirs: Any) -> None:
-    """Of conditions, those that were not sampled are missing or NaN."""
-    if isinstance(theirs, dict):
-        assert set(theirs) <= set(ours), (ours, theirs)
-        for name, value in ours.items():
-            assert name in theirs or name == "conditions" or np.isnan(value), name
-            if name in theirs:
-                assert_close(value, theirs[name])
-    else:
-        np.testing.assert_allclose(ours, theirs, rtol=1e-12, atol=1e-12)
 
 
 @pytest.fixture
