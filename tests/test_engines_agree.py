@@ -195,7 +195,8 @@ def seen_cases(draw: st.DrawFn) -> Case:
     """Lanes that are observed by a camera, most by an event camera."""
     keys: Keys = {name: value for part in (timings(), FLIGHTS, NOISE) for name, value in draw(part).items()}
     keys["difficulty"] |= draw(st.sampled_from([{}, {"light": [0.1, 0.1]}, {"light": [0.03, 1.0]}]))
-    keys |= draw(st.sampled_from([{}, {"dvs_rate_hz": 1000 / 12}, {"dvs_rate_hz": 500.0}, COLOUR, DEPTH]))
+    both = {"also_state": True}
+    keys |= draw(st.sampled_from([{}, both, {"dvs_rate_hz": 1000 / 12}, {"dvs_rate_hz": 500.0} | both, COLOUR, DEPTH]))
     if "dvs_rate_hz" in keys and keys.get("profile") == "airsim":
         keys["dvs_rate_hz"] = 1000 / 12  # which divides both profiles' steps
     short = durations((0.1, 0.1), (0.24, 0.12)) if "dvs_rate_hz" in keys else durations((0.3, 0.3), (0.4, 0.2))
@@ -484,6 +485,7 @@ def test_games_are_the_same_in_all_simulators(case: Case) -> None:
 
 
 HIT_BETWEEN_FRAMES: Keys = {
+    "also_state": True,
     "dvs_rate_hz": 500.0,
     "lane": {"obstacles": [{"x_m": 2.0, "y_m": 0.0, "half_side_m": 0.5}]},
     "t_move_s": 0.24,
@@ -491,7 +493,7 @@ HIT_BETWEEN_FRAMES: Keys = {
     "max_commands": 4,
     "speed_m_s": 6.0,
 }
-"""Events that were not read are of the game that has ended."""
+"""Events that were not read are of the game that has ended, whose last state is not shown."""
 OTHER_LIGHT: Keys = {
     "observation": "colour",
     "timing": "virtual",
