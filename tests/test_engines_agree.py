@@ -529,11 +529,11 @@ STANDS_BETWEEN_FRAMES: Keys = {
 """Images show the pose of Unreal's last frame, and are as old to the agent as TCSC's clock says, which stands."""
 OTHER_NOISE: Keys = {
     "randomise": {"image_noise": [2, 9], "dvs_leak_hz": [5, 50], "share": 0.4},
-    "t_move_s": 0.3,
-    "t_sample_s": 0.3,
+    "t_move_s": 0.4,
+    "t_sample_s": 0.2,
     "max_commands": 1,
 }
-"""Cameras are quiet in one game, and noisy in the next and in that beside it."""
+"""Cameras are quiet in one game, and noisy in the next and in that beside it; lanes fly on while one renders."""
 
 
 @pytest.mark.slow
