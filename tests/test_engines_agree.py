@@ -496,14 +496,17 @@ HIT_BETWEEN_FRAMES: Keys = {
 """Events that were not read are of the game that has ended, whose last state is not shown."""
 OTHER_LIGHT: Keys = {
     "observation": "colour",
+    "knows": ["frame_age"],
     "timing": "virtual",
+    "command": "adsc",
+    "image_processing_s": 0.05,
     "latency": QUICK,
     "difficulty": {"light": [0.03, 1.0]},
     "t_move_s": 0.3,
     "t_sample_s": 0.3,
     "max_commands": 1,
 }
-"""A game's first image is not requested again because the last game's was darker."""
+"""A game's first image is not requested again because the last game's was darker; ADSC lets each become older."""
 COMES_NEAR: Keys = {
     "timing": "virtual",
     "latency": QUICK | {"request_us": {"call": [40.0, 40.0], "image": [9000.0, 9000.0]}},
