@@ -56,6 +56,18 @@ def assert_same(ours: Any, theirs: Any) -> None:
         assert ours.tobytes() == theirs.tobytes()
 
 
+def assert_close(ours: Any, theirs: Any) -> None:
+    """Infos; of conditions, those that were not sampled are missing or NaN."""
+    if isinstance(theirs, dict):
+        assert set(theirs) <= set(ours), (ours, theirs)
+        for name, value in ours.items():
+            assert name in theirs or name == "conditions" or np.isnan(value), name
+            if name in theirs:
+                assert_close(value, theirs[name])
+    else:
+        np.testing.assert_allclose(ours, theirs, rtol=1e-12, atol=1e-12)
+
+
 class SideBySide:
     """A batch and the same environments alone, each of whose commands give the same to the last bit.
 

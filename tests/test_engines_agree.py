@@ -20,7 +20,7 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from tests.host_kernels import ON_A_GPU, a_gpu, host_kernels  # noqa: F401 - fixtures
-from tests.lanes import SideBySide, assert_same, stored
+from tests.lanes import SideBySide, assert_close, assert_same, stored
 from tests.own_tasks import Post, Resting, Spin
 from uavaccel.envs import kernel_games
 from uavaccel.envs.arrays import mapped, select
@@ -195,7 +195,8 @@ def seen_cases(draw: st.DrawFn) -> Case:
     """Lanes that are observed by a camera, most by an event camera."""
     keys: Keys = {name: value for part in (timings(), FLIGHTS, NOISE) for name, value in draw(part).items()}
     keys["difficulty"] |= draw(st.sampled_from([{}, {"light": [0.1, 0.1]}, {"light": [0.03, 1.0]}]))
-    keys |= draw(st.sampled_from([{}, {"dvs_rate_hz": 1000 / 12}, {"dvs_rate_hz": 500.0}, COLOUR, DEPTH]))
+    both = {"also_state": True}
+    keys |= draw(st.sampled_from([{}, both, {"dvs_rate_hz": 1000 / 12}, {"dvs_rate_hz": 500.0} | both, COLOUR, DEPTH]))
     if "dvs_rate_hz" in keys and keys.get("profile") == "airsim":
         keys["dvs_rate_hz"] = 1000 / 12  # which divides both profiles' steps
     short = durations((0.1, 0.1), (0.24, 0.12)) if "dvs_rate_hz" in keys else durations((0.3, 0.3), (0.4, 0.2))
@@ -394,18 +395,6 @@ def one_lane(info: Any, lane: int) -> Any:
     return {name: one_lane(value, lane) for name, value in info.items() if not name.startswith("_")}
 
 
-def assert_close(ours: Any, theirs: Any) -> None:
-    """Of conditions, those that were not sampled are missing or NaN."""
-    if isinstance(theirs, dict):
-        assert set(theirs) <= set(ours), (ours, theirs)
-        for name, value in ours.items():
-            assert name in theirs or name == "conditions" or np.isnan(value), name
-            if name in theirs:
-                assert_close(value, theirs[name])
-    else:
-        np.testing.assert_allclose(ours, theirs, rtol=1e-12, atol=1e-12)
-
-
 @pytest.fixture
 def kernels_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
     """The exact simulator sees what the kernels render; a frame is waited for as long each time."""
@@ -496,6 +485,7 @@ def test_games_are_the_same_in_all_simulators(case: Case) -> None:
 
 
 HIT_BETWEEN_FRAMES: Keys = {
+    "also_state": True,
     "dvs_rate_hz": 500.0,
     "lane": {"obstacles": [{"x_m": 2.0, "y_m": 0.0, "half_side_m": 0.5}]},
     "t_move_s": 0.24,
@@ -503,17 +493,20 @@ HIT_BETWEEN_FRAMES: Keys = {
     "max_commands": 4,
     "speed_m_s": 6.0,
 }
-"""Events that were not read are of the game that has ended."""
+"""Events that were not read are of the game that has ended, whose last state is not shown."""
 OTHER_LIGHT: Keys = {
     "observation": "colour",
+    "knows": ["frame_age"],
     "timing": "virtual",
+    "command": "adsc",
+    "image_processing_s": 0.05,
     "latency": QUICK,
     "difficulty": {"light": [0.03, 1.0]},
     "t_move_s": 0.3,
     "t_sample_s": 0.3,
     "max_commands": 1,
 }
-"""A game's first image is not requested again because the last game's was darker."""
+"""A game's first image is not requested again because the last game's was darker; ADSC lets each become older."""
 COMES_NEAR: Keys = {
     "timing": "virtual",
     "latency": QUICK | {"request_us": {"call": [40.0, 40.0], "image": [9000.0, 9000.0]}},
@@ -539,11 +532,11 @@ STANDS_BETWEEN_FRAMES: Keys = {
 """Images show the pose of Unreal's last frame, and are as old to the agent as TCSC's clock says, which stands."""
 OTHER_NOISE: Keys = {
     "randomise": {"image_noise": [2, 9], "dvs_leak_hz": [5, 50], "share": 0.4},
-    "t_move_s": 0.3,
-    "t_sample_s": 0.3,
+    "t_move_s": 0.4,
+    "t_sample_s": 0.2,
     "max_commands": 1,
 }
-"""Cameras are quiet in one game, and noisy in the next and in that beside it."""
+"""Cameras are quiet in one game, and noisy in the next and in that beside it; lanes fly on while one renders."""
 
 
 @pytest.mark.slow

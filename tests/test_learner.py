@@ -257,6 +257,25 @@ def test_each_lane_pays_its_share_of_learning_and_each_decision(keys: dict[str, 
     assert all(isinstance(each, Flown) or each[1] == 0.0005 for log in lanes.log for each in log) or "kind" in keys
 
 
+def test_each_second_of_the_machine_is_told_of_once() -> None:
+    """While one chunk is read the next is in flight; each look at the clock takes a second, and the pause a minute."""
+    learner, _ = learning(3, kind=DeviceDQN)
+    told_s, looks = 0.0, [0]
+
+    def now_ns() -> int:
+        looks.append(looks[-1] + 1)
+        return looks[-1] * 1_000_000_000
+
+    learner._clock = SimpleNamespace(now_ns=now_ns)
+    for pauses in (0, 1):
+        for holding in (False, False, False, True, True):
+            learner.holding = holding
+            told_s += sum(game.info["host_phase_s"]["simulation"] for game in learner.advance())
+        assert learner.at_rest
+        assert told_s == pytest.approx(looks[-1] - 1 - 61 * pauses)
+        looks.append(looks[-1] + 60)
+
+
 @BOTH
 def test_it_explores_as_often_as_it_is_to(kind: Any) -> None:
     """Its greedy action is 1 everywhere; of those at random every second one is too, and before it learns all are."""

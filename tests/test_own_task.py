@@ -206,7 +206,8 @@ def test_code_that_nobody_trusts_does_not_run(here: Path, said: Callable[[str], 
 
 
 def test_its_schema_has_its_keys(here: Path) -> None:
-    for name in (yaml_of(here, "Free"), "post.py:Post"):
+    (here / "both.py").write_text(POST + BARE.replace("pass", "task_class = Post"))
+    for name in (yaml_of(here, "Free"), "post.py:Post", "both.py"):
         _, task = schema_of(name)["properties"]["task"]["anyOf"]
         assert {"class", "near_m", "max_commands"} <= set(task["properties"])
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import permutations
 from typing import Any
 
 import numpy as np
@@ -74,17 +75,18 @@ def test_the_velocity_is_that_of_the_path_while_contacts_push() -> None:
 
 
 def test_where_nothing_can_fly_nothing_is_put() -> None:
-    refused: dict[str, Any] = {
-        "not 0.2": (0.0, 0.0, 0.2), "thin air": (0.0, 0.0, -44_500.0), "NED z": (0.0, 0.0, float("nan")),
-        "m inside block_north": (45.0, 0.0, -6.0), "within 10000 m": (10_001.0, 0.0, -6.0),
-    }  # fmt: skip
+    refused: list[tuple[str, Any]] = [
+        ("not 0.2", (0.0, 0.0, 0.2)), ("thin air", (0.0, 0.0, -44_500.0)), ("NED z", (0.0, 0.0, float("nan"))),
+        ("m inside block_north", (45.0, 0.0, -6.0)),
+        *(("within 10000 m", (*aside, -6.0)) for far in (-10_001.0, 10_001.0) for aside in permutations((far, 0.0))),
+    ]  # fmt: skip
     ends = []
-    for places in ({}, refused):
+    for places in ([], refused):
         simulation = simulate()
         go_to(simulation, 100)
         fly_velocity(simulation, VelocityGoal((1.0, 0.0, 0.0)), 5.0, simulation.wall_ns)
         go_to(simulation, 300)
-        for text, place in places.items():
+        for text, place in places:
             with pytest.raises(UserError, match=text):
                 simulation.reset(simulation.wall_ns, place)
         go_to(simulation, 1000)

@@ -354,6 +354,7 @@ class DeviceDQN(DoubleDQN):
         self._learning_stream = SideStream(priority=-1)  # its small kernels go before the large ones of rendering
         self._unread: deque[tuple[Any, ...]] = deque()
         self._clock = MonotonicClock()
+        self._read_ns = self._spent_ns = 0  # when a chunk was read last, and time of which no game was told
 
     @property
     def exploration_rate(self) -> float:
@@ -476,7 +477,8 @@ class DeviceDQN(DoubleDQN):
         self.statistics.read(sums)
         over = log[..., self._at.over].numpy()
         games = []
-        spent_s = (self._clock.now_ns() - begun_ns) / NS_PER_S
+        before_ns, self._read_ns = max(begun_ns, self._read_ns), self._clock.now_ns()  # the next is in flight already
+        self._spent_ns += self._read_ns - before_ns
         for line, lane in np.argwhere(over).tolist():
             if self.games >= self.config.games:
                 break
@@ -486,7 +488,9 @@ class DeviceDQN(DoubleDQN):
             games.append(Game(self.games, lane, info, outcome[self._at.reward], self.exploration_rate, *learned))
             self.games += 1
         for game in games:
-            game.info["host_phase_s"]["simulation"] = spent_s / len(games)
+            game.info["host_phase_s"]["simulation"] = self._spent_ns / NS_PER_S / len(games)
+        if games:
+            self._spent_ns = 0
         self.lanes.games.refill(begun.tolist())
         return games
 
