@@ -8,7 +8,7 @@ The GPU's kernels run on the CPU (tests/host_kernels.py) unless UAVACCEL_TEST_GP
 from __future__ import annotations
 
 import re
-from contextlib import ExitStack, closing, suppress
+from contextlib import ExitStack, closing, nullcontext, suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -21,7 +21,7 @@ from hypothesis import strategies as st
 
 from tests.host_kernels import ON_A_GPU, a_gpu, host_kernels  # noqa: F401 - fixtures
 from tests.lanes import SideBySide, assert_close, assert_same, stored
-from tests.own_tasks import Post, Resting, Spin
+from tests.own_tasks import Post, PostTask, Resting, Spin
 from uavaccel.envs import kernel_games
 from uavaccel.envs.arrays import mapped, select
 from uavaccel.envs.flight_env import FlightEnv, environment_of
@@ -666,7 +666,34 @@ def test_what_cannot_be_computed_over_arrays_is_named(name: str, function: Any, 
         fly_a_command(task)
 
 
-def fly_a_command(task: Any) -> None:
+def fly_a_command(task: Any) -> Any:
     with closing(KernelBatch(environment_of(task), 3, threads=1)) as batch:
         batch.reset(seed=0)
-        batch.step(np.zeros((3, 4), np.float32))
+        return batch.step(np.full((3, 4), 0.5, np.float32))[0]
+
+
+def test_features_may_be_an_array_of_frames() -> None:
+    class Listed(PostTask):
+        def features(self, state: Any, course: Any) -> Any:
+            return [list(state.position_m), list(state.linear_velocity_m_s)]
+
+    class Arrayed(Listed):
+        def features(self, state: Any, course: Any) -> Any:
+            return np.array(super().features(state, course))
+
+    listed, arrayed = (fly_a_command(task) for task in (Listed, Arrayed))
+    assert listed.shape == (3, 2, 3)
+    np.testing.assert_array_equal(arrayed, listed)
+
+
+@pytest.mark.parametrize(("first", "later"), [(0.5, 2), (2, 0.5)])
+def test_a_later_game_may_have_whole_numbers_for_fractions_alone(first: Any, later: Any) -> None:
+    drawn = [first]
+    sample = lambda task, random, options: {**Post.task_class.sample(task, random, options), "kind": drawn[-1]}  # noqa: E731
+    task: Any = type("Mine", (Post.task_class,), {"sample": sample, "__module__": __name__})
+    refused = pytest.raises(UserError, match="numbers of the same kinds") if later == 0.5 else nullcontext()
+    with closing(KernelBatch(environment_of(task), 3, threads=1, max_commands=1)) as batch, refused:
+        batch.reset(seed=0)
+        drawn.append(later)
+        for _ in range(2):
+            batch.step(np.zeros((3, 4), np.float32))
