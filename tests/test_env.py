@@ -6,7 +6,7 @@ import json
 import subprocess
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -22,6 +22,7 @@ from stable_baselines3.common.env_checker import check_env as check_env_for_lear
 import uavaccel.envs  # noqa: F401 - registers
 from tests.lanes import free_distance_m
 from tests.opengl import needs_opengl
+from uavaccel.envs.hover import Hover
 from uavaccel.envs.obstacle_lane import ObstacleLane
 from uavaccel.envs.sensors import DEPTH_FAR_M
 from uavaccel.sim.lane import lane_seed, sample_layout
@@ -71,7 +72,8 @@ def test_it_is_registered_as_the_documentation_says(module: str) -> None:
 @pytest.mark.parametrize(
     ("name", "keys"),
     [
-        *((NAME, {"observation": kind}) for kind in ("dvs", "colour", "depth", "state")),
+        *((NAME, {"observation": kind}) for kind in ("dvs", "colour", "depth")),
+        (NAME, {"observation": "state", "randomise": {"wind_m_s": [0, 3]}}),
         *((f"uavaccel/{name}-v0", {}) for name in ("Hover", "Gates")),
     ],
 )
@@ -80,6 +82,21 @@ def test_checkers_of_gymnasium_and_baselines_find_nothing(name: str, keys: dict[
     check_env(environment.unwrapped, skip_render_check=keys.get("observation", "state") == "state")
     check_env_for_learning(environment)
     environment.close()
+
+
+def test_what_an_info_says_is_its_readers() -> None:
+    """Who changes it does not move the waypoint."""
+    with closing(Hover()) as environment:
+        _, begun = environment.reset(seed=0)
+        waypoint_m = [*begun["waypoint_m"]]
+        begun["waypoint_m"].clear()
+        assert environment.step(np.zeros(3, np.float32))[4]["waypoint_m"] == waypoint_m
+
+
+def test_a_truth_value_is_the_number_of_an_action() -> None:
+    with lane(observation="state") as environment:
+        flown = fly(environment, [False, True])
+        assert np.array_equal(flown, fly(environment, [0, 1]))
 
 
 class Recorder:

@@ -114,6 +114,10 @@ def test_what_is_no_block_of_a_page_is_named(here: Path) -> None:
         ("stranger:called", "names no uavaccel.suites.suite.Suite: called is none"),
         ("stranger:Friend", "names no uavaccel.suites.suite.Suite: stranger has no Friend"),
         *((f"{name}:abort", f"no module '{name}' in ") for name in ("nobody", "os", "numpy", "a/b", "..x", "")),
+        *(
+            (f"{name}:abort", "'my-own' is no name that Python can import")
+            for name in ("my-own", "x.my-own", "/my-own.py")
+        ),
         ("json:dumps", "HERE/json.py has the name of another module, "),
     ],
 )
@@ -270,6 +274,7 @@ class Wrong(Own):
     ("config = dict", "Wrong.config has to be a subclass"),
     ("name = None", "Wrong.name has to be a text"),
     ("names = ('a', 'a')", "two cases are called 'a'"),
+    ("names = ()", "own: there is no game to fly: cases is empty"),
     ("names = ('../a',)", "a case cannot be called '../a'"),
     ("flown = lambda self, case: None", "fly of a returned a NoneType"),
     ("flown = lambda self, case: GameResult({'value': object()})", "its row is no JSON"),

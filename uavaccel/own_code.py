@@ -246,6 +246,10 @@ def _found(name: str, where: str) -> tuple[Path, list[Path]]:
     if name in _imported:
         file = _imported[name]
         return file.parents[name.count(".") + (file.name == "__init__.py")], [file]
+    parts = [Path(name).stem] if name.endswith(".py") else re.split("[./]", name)
+    if wrong := next((part for part in parts if part and not part.isidentifier()), None):
+        better = re.sub(r"\W", "_", wrong)
+        raise UserError(f"{where}: {wrong!r} is no name that Python can import: rename it, as to {better!r}")
     places = " or ".join(map(str, folders))
     what = "file" if name.endswith(".py") else "module"
     raise UserError(

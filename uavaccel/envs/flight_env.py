@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from uavaccel.clock import MonotonicClock
 from uavaccel.commands import COMMANDS
+from uavaccel.envs.arrays import mapped
 from uavaccel.envs.checks import (
     RENDER_MODES,
     Functions,
@@ -367,7 +368,8 @@ class FlightEnv(gymnasium.Env[Observation, Action], Generic[TaskT]):
         wall_s = (self._client.now_ns() - self._start_ns) / NS_PER_S if self._client else 0.0
         spent = {"wall_s": wall_s, "phase_s": self._stopwatches[0].spent_s()}
         host = {"host_phase_s": self._stopwatches[1].spent_s()} if self.task.report_host_times else {}
-        return {**told_of(self.task, self._now), **spent, **self.task.info(self._now), **self._conditions, **host}
+        own = mapped(lambda number: number, {**self.task.info(self._now), **self._conditions})  # not the game's
+        return {**told_of(self.task, self._now), **spent, **own, **host}
 
     def _host_disturbances(self) -> Info:
         """Return the seconds of wall time that a finished game in `wall` lost, and for which its server stalled."""

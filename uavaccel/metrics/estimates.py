@@ -85,7 +85,8 @@ def mean_estimate(values: ArrayLike) -> Estimate:
 
 def difference_estimate(first: Estimate, second: Estimate, correlation: float = 0.0) -> Estimate:
     """Return first - second with the interval that follows from theirs (MOVER), for shares of the same games that of
-    Newcombe, Stat. Med. 17 (1998), method 10 of the paired ones.
+    Newcombe, Stat. Med. 17 (1998), method 10 of the paired ones, but for its continuity correction of a positive
+    correlation.
     """
     (p, low_p, high_p), (q, low_q, high_q) = first, second
 

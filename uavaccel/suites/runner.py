@@ -56,9 +56,11 @@ def check_jobs(suite: AnySuite, config: Experiment, jobs: int, engine: str = LOK
 
 
 def cases_of(suite: AnySuite, config: Experiment) -> list[Case]:
-    """Return all cases. Raises UserError for too many, for equal names, and for names that files cannot have."""
+    """Return all cases. Raises UserError for none or too many, equal names, and names that files cannot have."""
     with errors_named(files_of(type(suite))):
         cases = list(islice(suite.cases(config), MOST_GAMES + 1))
+    if not cases:
+        raise UserError(f"{suite.name}: there is no game to fly: cases is empty")
     if len(cases) > MOST_GAMES:
         raise UserError(f"more than {MOST_GAMES} games in all: fewer games, or fewer values to combine")
     for name, count in Counter(case.id for case in cases).items():
