@@ -14,6 +14,7 @@ import pytest
 import torch as th
 
 from tests.learning import tiny_config
+from tests.onnx_here import onnx  # noqa: F401 - a fixture
 from tests.running import configured
 from uavaccel.cli.flights import export
 from uavaccel.config import Config
@@ -32,7 +33,7 @@ def policy(algorithm: str = "double_dqn", mirrored_decisions: bool = False, **ta
     keys = {"algorithm": algorithm, "mirrored_decisions": mirrored_decisions, **options}
     config = tiny_config(task, mirror=False, **keys)
     th.manual_seed(0)
-    return Policy(make_policy(config).eval(), config, {"weights_file_sha256": "0"})
+    return Policy(make_policy(config).eval(), config, {"weights_file_sha256": "ab", "trained": {"games": 7}})
 
 
 def test_events_are_reduced_as_the_environment_reduces_them() -> None:
@@ -71,6 +72,7 @@ def test_a_policy_that_decides_both_ways_is_symmetric() -> None:
     assert plain.act(in_mirror).tolist() != [turned[action] for action in plain.act(seen)]
 
 
+@pytest.mark.usefixtures("onnx")
 @pytest.mark.parametrize(
     ("algorithm", "task"),
     [
@@ -97,13 +99,9 @@ def test_the_whole_network_acts_as_the_policy(algorithm: str, task: dict[str, An
     with th.inference_mode():
         _, action = OnnxPolicy(trained).eval()(*inputs)
     assert action.tolist() == trained.act(seen).tolist()
-    if importlib.util.find_spec("onnxscript") and importlib.util.find_spec("onnxruntime"):
-        _runs_alike(trained, inputs, action, tmp_path / "policy.onnx")
-
-
-def _runs_alike(trained: Policy, inputs: list[th.Tensor], action: th.Tensor, path: Path) -> None:
     import onnxruntime
 
+    path = tmp_path / "policy.onnx"
     about = write_onnx(trained, path)
     session = onnxruntime.InferenceSession(path)
     given = dict(zip([node.name for node in session.get_inputs()], inputs, strict=True))
@@ -117,7 +115,9 @@ def test_the_metadata_describes_each_input(knows: list[str]) -> None:
     trained = policy(knows=knows)
     about, inputs = described(trained), ["seen", "told"][: len(example(trained))]
     assert {"seen", "told"} & about.keys() == set(inputs)
-    assert json.loads(about["knows"]) == knows
+    task = {key: json.loads(about[key]) for key in ("knows", "headings_deg", "speed_m_s", "t_move_s", "dvs_preset")}
+    assert task == {key: trained.config.task.model_dump(mode="json")[key] for key in task}
+    assert (about["weights_file_sha256"], about["trained"]) == ("ab", '{"games": 7}')
 
 
 @pytest.mark.skipif(importlib.util.find_spec("onnxscript") is not None, reason="it is installed")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import socket
@@ -12,6 +13,8 @@ import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
+from functools import partial
+from itertools import cycle
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +29,17 @@ from uavaccel.clock import MonotonicClock
 from uavaccel.errors import UserError
 from uavaccel.files import file_sha256
 from uavaccel.realtime import PolicyServer, RealTime, RemotePolicy, load_policy, measure
-from uavaccel.realtime.server import BODY_BYTES, MAGIC, Frame, read_frame
+from uavaccel.realtime.server import (
+    BODY_BYTES,
+    DTYPES,
+    MAGIC,
+    READ_BYTES,
+    Frame,
+    identity_of,
+    read_frame,
+    spec_of,
+    spec_text,
+)
 
 PACKAGE = Path(__file__).parents[1]
 
@@ -174,6 +187,46 @@ def test_observations_arrive_as_they_were(seen: spaces.Space[Any], actions: int,
     for name, part in here.items():
         np.testing.assert_array_equal(there[name], part)
         assert there[name].dtype == np.asarray(part).dtype
+
+
+def test_a_frame_arrives_as_it_was() -> None:
+    """Of every type, in whatever order its bytes are, longer than a read, and its arrays can be written to."""
+    random, shapes = np.random.default_rng(0), cycle([(), (3,), (2, 0), (5, 2, 3)])
+    parts = {kind: np.asarray(random.integers(0, 99, next(shapes))).astype(kind) for kind in DTYPES}
+    parts |= {"turned": np.arange(12.0).reshape(3, 4).T, "big": np.arange(7, dtype=">i4"), "second": np.arange(9)[::2]}
+    sent = Frame("act", {"seed": 5, "line": "ü\n"}, {**parts, "long": random.random(READ_BYTES // 8 + 3)})
+    here, there = socket.socketpair()
+    with here, there, ThreadPoolExecutor(1) as pool:
+        pool.submit(here.sendall, 2 * sent.packed())
+        for got in (received(there), received(there)):
+            assert (got.kind, got.entries, [*got.parts]) == (sent.kind, sent.entries, [*sent.parts])
+            for name, part in sent.parts.items():
+                np.testing.assert_array_equal(got.parts[name], part)
+                assert got.parts[name].dtype == part.dtype.newbyteorder("=")
+                assert got.parts[name].flags.writeable
+
+
+def test_a_policy_has_the_name_and_the_hash_of_its_code() -> None:
+    class Object:
+        def __call__(self, seen: Any) -> Any: ...
+
+    code, where = file_sha256(Path(__file__)), "test_a_policy_has_the_name_and_the_hash_of_its_code.<locals>.Object"
+    for policy, name in ((nothing, "nothing"), (partial(nothing, seen=1), "nothing"), (Object(), where)):
+        assert identity_of(policy) == (name, code)
+    assert identity_of(len) == ("len", None)
+
+
+@pytest.mark.parametrize(
+    ("space", "text"),
+    [
+        (spaces.Dict({"to": spaces.Box(0, 1, (2,)), "at": spaces.Box(0, 9, (3, 4), np.uint8)}),
+         "at uint8 (3, 4), to float32 (2,)"),
+        (spaces.Dict({"of": spaces.Discrete(5), "at": spaces.MultiBinary(4)}), "at int8 (4,), of one of 5"),
+        (spaces.MultiDiscrete([3, 4]), "int64 (2,)"),
+    ],
+)  # fmt: skip
+def test_a_space_is_said_as_it_is_sent(space: spaces.Space[Any], text: str) -> None:
+    assert spec_text(json.loads(json.dumps(spec_of(space)))) == text
 
 
 def test_a_server_says_what_it_serves_and_resets_its_policy() -> None:
