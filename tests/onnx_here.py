@@ -46,34 +46,30 @@ def several(answer: Any) -> Sequence[th.Tensor]:
     return answer if isinstance(answer, tuple) else (answer,)
 
 
-def export(module: th.nn.Module, inputs: tuple[th.Tensor, ...], **options: Any) -> Any:
-    """As torch.onnx.export: a program of the module, the forms of its inputs and outputs, and metadata."""
-    batch = options["dynamic_shapes"] is not None
-    outputs = several(module(*inputs))
-    given = options.get("input_names") or list(signature(module.forward).parameters)
-    named = options.get("output_names") or [f"output_{number}" for number in range(len(outputs))]
-    forms = [
-        [
-            SimpleNamespace(name=name, shape=["n" if batch else len(each), *each.shape[1:]], type="tensor(float)")
-            for name, each in zip(names, tensors, strict=False)
-        ]
-        for names, tensors in ((given, inputs), (named, outputs))
-    ]
+def export(module: Any, inputs: tuple[th.Tensor, ...], *, dynamic_shapes: Any, **names: Any) -> Any:
+    """As torch.onnx.export: a program of the module, of its inputs and outputs, and of metadata."""
+
+    def forms(named: Sequence[str], tensors: Sequence[th.Tensor]) -> list[SimpleNamespace]:
+        shapes = [["n" if dynamic_shapes else len(each), *each.shape[1:]] for each in tensors]
+        each_form = zip(named, shapes, strict=True)
+        return [SimpleNamespace(name=name, shape=shape, type="tensor(float)") for name, shape in each_form]
+
+    given = names.get("input_names") or [*signature(module.forward).parameters]
+    about = (module, forms(given, inputs), forms(names.get("output_names", ["it"]), several(module(*inputs))))
     metadata: dict[str, str] = {}
-    proto = SimpleNamespace(SerializeToString=lambda: cloudpickle.dumps((module, *forms, metadata)))
+    proto = SimpleNamespace(SerializeToString=lambda: cloudpickle.dumps((*about, metadata)))
     return SimpleNamespace(model=SimpleNamespace(metadata_props=metadata), model_proto=proto)
 
 
 class Session:
     """As onnxruntime.InferenceSession, which takes inputs of these shapes and of float32 alone."""
 
-    def __init__(self, content: bytes | Path, options: Any = None, providers: Any = None) -> None:
-        content = content.read_bytes() if isinstance(content, Path) else content
+    def __init__(self, content: bytes, options: Any, providers: Any) -> None:
         self._module, self._inputs, self._outputs, metadata = pickle.loads(content)
         self.get_inputs, self.get_outputs = lambda: self._inputs, lambda: self._outputs
         self.get_modelmeta = lambda: SimpleNamespace(custom_metadata_map=metadata)
 
-    def run(self, names: Sequence[str] | None, given: Mapping[str, Any]) -> list[Any]:
+    def run(self, names: Sequence[str], given: Mapping[str, Any]) -> list[Any]:
         tensors = [th.from_numpy(given[form.name]) for form in self._inputs]
         for form, each in zip(self._inputs, tensors, strict=True):
             sizes = zip(form.shape, each.shape, strict=True)
@@ -82,4 +78,4 @@ class Session:
         with th.inference_mode():
             answers = several(self._module(*tensors))
         known = {form.name: each.numpy() for form, each in zip(self._outputs, answers, strict=True)}
-        return [known[name] for name in known if names is None or name in names]
+        return [known[name] for name in names]

@@ -27,6 +27,7 @@ from uavaccel.envs.hover import HoverTask
 from uavaccel.envs.obstacle_lane import LaneTask
 from uavaccel.errors import UserError
 from uavaccel.own_code import trusting
+from uavaccel.realtime.policy_files import OnnxFile
 from uavaccel.records import RunDirectory
 from uavaccel.rl.agents import BatchAgent, make_agent, origin_of
 from uavaccel.rl.onnx_file import write_onnx
@@ -383,36 +384,18 @@ def test_what_is_wrong_with_a_function_is_one_line(function: str, said: str) -> 
 # --- ONNX -------------------------------------------------------------------------------------------------------
 
 
-def exported(*outputs: str, batch: bool = True) -> th.nn.Module:
-    """Write model.onnx for Hover: a layer, the negative of its first output too."""
-
-    class Network(th.nn.Module):
-        def __init__(self) -> None:
-            super().__init__()
-            self.layer = th.nn.Linear(13, 3)
-
-        def forward(self, seen: th.Tensor) -> tuple[th.Tensor, ...]:
-            found = self.layer(seen)
-            return (found, -found)[: len(outputs)]
-
-    network = Network()
-    write("model.onnx", network, th.zeros(2 if batch else 1, 13), batch=batch, output_names=list(outputs))
-    return network
+class Twice(th.nn.Linear):
+    def forward(self, seen: th.Tensor) -> Any:
+        return (found := super().forward(seen)), -found
 
 
 @pytest.mark.usefixtures("onnx")
-@pytest.mark.parametrize(
-    ("outputs", "sign", "batch"),
-    [
-        (("mean",), 1, True),
-        (("other", "action"), -1, False),
-        (("mean", "actions"), -1, True),
-        (("actions", "action"), -1, True),
-    ],
-)
-def test_an_onnx_file_gives_the_actions_clipped(outputs: tuple[str, ...], sign: int, batch: bool) -> None:
+@pytest.mark.parametrize("batch", [True, False])
+@pytest.mark.parametrize(("outputs", "sign"), [("mean other", 1), ("other actions", -1), ("actions action", -1)])
+def test_an_onnx_file_gives_the_actions_clipped(outputs: str, sign: int, batch: bool) -> None:
     """By the output `action`, `actions` or the first, also where it takes one observation at a time."""
-    network = exported(*outputs, batch=batch)
+    network = Twice(13, 3)
+    write("model.onnx", network, th.zeros(2 if batch else 1, 13), batch=batch, output_names=outputs.split())
     seen = np.random.default_rng(0).normal(size=(20, 13)).astype(np.float32)
     agent = make_agent("model.onnx", HoverTask())
     assert isinstance(agent, BatchAgent)
@@ -439,7 +422,7 @@ def test_a_policy_that_was_exported_flies_as_the_policy_does(task: dict[str, Any
     config = tiny_config(task)
     export_policy(Path("policy"), make_policy(config), config, {})
     policy = load_policy(Path("policy"))
-    write_onnx(policy, Path("model.onnx"))
+    assert write_onnx(policy, Path("model.onnx")) == OnnxFile("model.onnx").metadata
     evaluation, usual = (configured("evaluate", agent=agent) for agent in ("model.onnx", "policy"))
     assert evaluation.task == usual.task
     seen = np.random.default_rng(0).integers(0, 256, (9, *config.task.observation_space().shape), np.uint8)

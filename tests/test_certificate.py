@@ -197,6 +197,39 @@ def times(here: Path) -> None:
     (here / "times.json").write_text(json.dumps({"latency": {"request_us": {"call": spread_us}}}))
 
 
+class Cut(Count):
+    """By its seed cut short, and of other rewards; it says `won` in other episodes than `is_success`."""
+
+    def step(self, action: NDArray[np.float32]) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
+        seen, reward, over, _, info = super().step(action)
+        cut = self._first == 1 and self._count == 19
+        return seen, reward + self._first / 8, over, cut, {**info, "won": self._first != 1}
+
+
+@pytest.mark.parametrize("success", [None, "won"])
+@pytest.mark.usefixtures("times")
+def test_a_row_is_what_a_flight_of_ones_own_tells(success: str | None) -> None:
+    """With the times of the file, which a `scale` stretches as a factor does, at another ClockSpeed."""
+    document = json.loads(Path("times.json").read_text())
+    keys: dict[str, Any] = {"clock_speed": 2.0, "meanwhile": "default"}
+    swept = {"latencies": [2, 0.5], "calibration": "times.json", "episodes": 3, "seed": 5}
+    for row in certify(Cut, Drawing(), **swept, success=success, **keys).rows:
+        document["latency"]["scale"] = row["latency"]
+        Path("own.json").write_text(json.dumps(document))
+        env, policy = RealTime(Cut(), latency_s="own.json", **keys), Drawing()
+        (seen, _), infos, total, ends = env.reset(seed=row["seed"]), list[Any](), 0.0, [False, False]
+        policy.reset(row["seed"])
+        while not any(ends):
+            seen, reward, *ends, info = env.step(policy(seen))
+            infos, total = [*infos, info], total + reward
+        thought_s = np.median([info["thinking_s"] for info in infos])
+        assert row == {
+            "latency": row["latency"], "seed": row["seed"], "return": total, "steps": len(infos),
+            "success": infos[-1][success or "is_success"], "terminated": ends[0],
+            "thinking_s": pytest.approx(thought_s, abs=2e-9), "simulated_s": infos[-1]["simulated_s"],
+        }  # fmt: skip
+
+
 @pytest.mark.usefixtures("times")
 @pytest.mark.parametrize("call", [0, 40, 149, 160])
 def test_an_evaluation_that_was_interrupted_ends_with_the_same_bytes(call: int) -> None:

@@ -365,6 +365,8 @@ def test_a_noisy_sensor_is_what_flies(tmp_path: Path) -> None:
     ("agent", "overrides", "said"),
     [
         ("nowhere", (), "nowhere: holds no policy.*"),
+        ("default", ("task.knows=[]", "task.picture_size=[64, 36]"),
+         re.escape("task.picture_size = (64, 36): default was trained with (256, 144)")),
         *(
             (f"offset:{wrong}", (), f"offset:{wrong}: must be offset:METRES, .* within the lane of 10 m.*")
             for wrong in ("left", "", "nan", "-10.1", "10.1", "-inf")
@@ -374,7 +376,7 @@ def test_a_noisy_sensor_is_what_flies(tmp_path: Path) -> None:
             for override, said in (
                 ("task.history=1", "task.history = 1: default was trained with 2"),
                 ("task.also_state=true", "task.also_state = True: default was trained with False"),
-                ("task.knows=[frame_age]", "task.knows = ('frame_age',): default was trained with ()"),
+                ("task.knows=[frame_age]", "task.knows = ('frame_age',): default was trained with ('last_action',)"),
                 ("task.observation=depth", "task.observation = 'depth': default was trained with 'dvs'"),
                 ("task.t_sample_s=0.5",
                  "task.t_sample_s = 0.5: 4 frames per observation, but default was trained with 6"),

@@ -53,18 +53,6 @@ def scripted(module: th.nn.Module) -> None:
 # --- what acts as it does at home -------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("algorithm", "env_id"), [("PPO", "CartPole-v1"), ("SAC", "Pendulum-v1")])
-def test_a_model_of_stable_baselines3_acts_in_any_environment(algorithm: str, env_id: str) -> None:
-    env = gymnasium.make(env_id)
-    model = getattr(sb3, algorithm)("MlpPolicy", env, policy_kwargs={"net_arch": [8]}, device="cpu")
-    model.save("model.zip")
-    policy, (seen, _) = load_policy("model.zip", env), env.reset(seed=0)
-    for _ in range(5):
-        action = policy(seen)
-        np.testing.assert_array_equal(action, model.predict(seen, deterministic=True)[0])
-        seen, *_ = env.step(action)
-
-
 @pytest.mark.usefixtures("onnx")
 @pytest.mark.parametrize("kind", ["module", "policy.pt", "policy.onnx"])
 @pytest.mark.parametrize("env", [REACH, PICK, PARTS], ids=["vector", "discrete", "dictionary"])

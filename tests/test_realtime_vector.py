@@ -253,6 +253,8 @@ def test_every_reset_begins_with_thoughts_drawn_by_the_seeds_of_each() -> None:
         (lambda: uavaccel.make_vec("hover", 2, simulator="kernels"), {}, "KernelBatch: timing = lockstep: make"),
         (lambda: uavaccel.make_vec("hover", 2, simulator="kernels", **OWN), {"clock_speed": 3.0, "observe_age": True},
          "observe_age: leave it out: observations of KernelBatch stay as they are"),
+        (lambda: uavaccel.make_vec("hover", 2, simulator="kernels", **OWN), {"clock_speed": 3.0, "observe_actions": 2},
+         "observe_actions: leave it out: observations of KernelBatch stay as they are"),
         (lambda: uavaccel.make_vec("hover", 2, simulator="kernels", **OWN), {"clock_speed": 3.0, "delay_steps": 1},
          "delay_steps: KernelBatch's own task says how long a step is; give latency_s"),
     ],
