@@ -103,6 +103,8 @@ def test_a_model_flies_the_environment_that_is_named() -> None:
     ]
     with pytest.raises(UserError, match=r"model.zip: its observations are \(13,\), the task's \(3, 36, 64\): name the"):
         configured("evaluate", agent="model.zip")
+    with pytest.raises(UserError, match=r"^task: default was trained with other observations or actions: omit what"):
+        make_agent("default", HoverTask())
 
 
 def test_only_what_is_trusted_is_unpickled(here: Path) -> None:

@@ -167,6 +167,7 @@ def test_a_damaged_policy_is_one_line(copy: Path, damage: Callable[[Path], Any],
     damage(copy)
     with pytest.raises(UserError, match=said) as caught:
         load_policy(copy)
+    assert str(caught.value).startswith(f"{copy}")
     assert "\n" not in str(caught.value)
     assert not (copy / "sprung").exists(), "no code runs"
     if "policy\\.json: d" in said or "a damaged" in said:

@@ -268,7 +268,8 @@ def test_what_was_measured_is_replayed_as_a_distribution(tmp_path: Path) -> None
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("[1", "neither JSON nor YAML: "),
+        *((text, "neither JSON nor YAML: ") for text in ("[1", "latency: 2024-13-45", "[" * 9_999)),
+        ("latency: ü", "not UTF-8 text$"),
         ("[1, 2]", "latency must be a mapping; 'measured' and its save"),
         ("latency: {request_us: 7}", "request_us must be a mapping"),
         ("latency: {name: none}", "latency.request_us.call: needs microseconds at the quantiles"),
@@ -292,7 +293,7 @@ def test_what_was_measured_is_replayed_as_a_distribution(tmp_path: Path) -> None
     ],
 )
 def test_a_calibration_file_that_does_not_fit_is_one_line(text: str, said: str, tmp_path: Path) -> None:
-    (tmp_path / "own.yaml").write_text(text)
+    (tmp_path / "own.yaml").write_text(text, "latin-1")
     with pytest.raises(UserError, match=f"own.yaml: {said}") as caught:
         thinking_time(tmp_path / "own.yaml")
     assert "\n" not in str(caught.value)

@@ -110,7 +110,7 @@ def drawn(generator: np.random.Generator) -> Drawn:
         env = Ticking()
         (keys if kind == "period_s" else vars(env))[kind] = number(tick_s)
     env.end = int(one_of(10**9, generator.integers(1, 120)))
-    limits = [int(generator.integers(1, 40)) for _ in range(one_of(0, 1, 2))]
+    limits = [int(generator.integers(1, 12)) for _ in range(one_of(0, 1, 2))]
     for limit in limits:
         env = TimeLimit(env, limit)
     if one_of(*[False] * 15, True):
