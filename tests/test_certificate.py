@@ -212,7 +212,7 @@ def test_a_row_is_what_a_flight_of_ones_own_tells(success: str | None) -> None:
     """With the times of the file, which a `scale` stretches as a factor does, at another ClockSpeed."""
     document = json.loads(Path("times.json").read_text())
     keys: dict[str, Any] = {"clock_speed": 2.0, "meanwhile": "default"}
-    swept = {"latencies": [2, 0.5], "calibration": "times.json", "episodes": 3, "seed": 5}
+    swept: dict[str, Any] = {"latencies": [2, 0.5], "calibration": "times.json", "episodes": 3, "seed": 5}
     for row in certify(Cut, Drawing(), **swept, success=success, **keys).rows:
         document["latency"]["scale"] = row["latency"]
         Path("own.json").write_text(json.dumps(document))

@@ -134,12 +134,17 @@ def cut_and_agreed(folder: Path) -> None:
     agree(folder)
 
 
+def emptied_and_agreed(folder: Path) -> None:
+    (folder / WEIGHTS).write_bytes(b"")
+    agree(folder)
+
+
 @pytest.mark.parametrize(("damage", "said"), [
     (weights_by(lambda tensor: tensor * float("nan")), r"policy\.pt: .* is not finite: a training that diverged"),
     (lambda folder: cut(folder / WEIGHTS), r"policy\.pt: is not the file that policy\.json describes"),
     (cut_and_agreed, r"policy\.pt: "),
     (lambda folder: (folder / WEIGHTS).unlink(), r"policy\.pt: cannot be read: No such file"),
-    (lambda folder: [(folder / WEIGHTS).write_bytes(b""), agree(folder)], r"policy\.pt: .* \(EOFError\); train"),
+    (emptied_and_agreed, r"policy\.pt: .* \(EOFError\); train"),
     (lambda folder: (folder / MANIFEST).unlink(), r"/run: holds no policy: no policy\.json in it; name the folder"),
     (shutil.rmtree, r"/run: holds no policy: no such folder; name the folder of a training that ended$"),
     (lambda folder: write_weights(folder, [1, 2]), r"policy\.pt: is no state dict of tensors alone"),

@@ -108,6 +108,8 @@ def test_numbers_of_a_network_are_those_of_the_actions(number: int) -> None:
 @pytest.mark.usefixtures("onnx")
 def test_an_onnx_file_of_other_spaces_is_one_line() -> None:
     write("policy.onnx", th.nn.Linear(4, 3), th.zeros(1, 4))
+    with pytest.raises(UserError, match=r"^\./policy\.onnx: gives numbers that are NaN or infinite$"):
+        load_policy("./policy.onnx", PICK)(np.full(4, np.nan))
     with pytest.raises(UserError, match=r"^policy\.onnx: its observations are \(4,\), the environment's \(1,\)$"):
         load_policy("policy.onnx", Space(spaces.Box(0, 1, (1,)), PICK.action_space))
     forms = (REACH, r"\(3,\), the environment's \(2,\)"), (PICKS, "one of 2 to 4, the environment's one of 2 to 5")
