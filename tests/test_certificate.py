@@ -33,7 +33,7 @@ from uavaccel.files import file_sha256
 from uavaccel.metrics.intervals import Proportion
 from uavaccel.realtime import Certificate, Measurement, RealTime, certify, measure
 from uavaccel.realtime.thinking import thinking_time
-from uavaccel.rl.agents import origin_of
+from uavaccel.resources import asset
 from uavaccel.wire.latency import read_latency
 
 pytestmark = pytest.mark.usefixtures("here")
@@ -548,7 +548,7 @@ def test_the_policy_that_ships_is_certified_in_its_environment() -> None:
     assert not ran(f"{named} --jobs 2 --out again")
     assert contents("again") == contents("certificate")
     document = json.loads(Path("certificate/certificate.json").read_text())
-    assert document["policy"]["sha256"] == origin_of("default").sha256()
+    assert document["policy"]["sha256"] == file_sha256(asset("policies/default/policy.pt"))
     assert document["environment"]["kwargs"]["speed_m_s"] == 1.5  # not that of its training
     assert [cell["latency_s"] for cell in document["cells"]] == [0, 0.1]
 
