@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-import warnings
 import zipfile
 from pathlib import Path
 from types import SimpleNamespace
@@ -19,6 +18,7 @@ import torch as th
 from stable_baselines3.common.torch_layers import FlattenExtractor
 
 from tests.learning import tiny_config
+from tests.onnx_here import onnx, write  # noqa: F401 - a fixture
 from tests.opengl import needs_opengl
 from tests.running import configured, fly_into
 from uavaccel.cli.experiments import evaluate_agent, sweep_agent
@@ -27,6 +27,7 @@ from uavaccel.envs.hover import HoverTask
 from uavaccel.envs.obstacle_lane import LaneTask
 from uavaccel.errors import UserError
 from uavaccel.own_code import trusting
+from uavaccel.realtime.policy_files import OnnxFile
 from uavaccel.records import RunDirectory
 from uavaccel.rl.agents import BatchAgent, make_agent, origin_of
 from uavaccel.rl.onnx_file import write_onnx
@@ -102,6 +103,8 @@ def test_a_model_flies_the_environment_that_is_named() -> None:
     ]
     with pytest.raises(UserError, match=r"model.zip: its observations are \(13,\), the task's \(3, 36, 64\): name the"):
         configured("evaluate", agent="model.zip")
+    with pytest.raises(UserError, match=r"^task: default was trained with other observations or actions: omit what"):
+        make_agent("default", HoverTask())
 
 
 def test_only_what_is_trusted_is_unpickled(here: Path) -> None:
@@ -169,10 +172,9 @@ def test_a_model_from_elsewhere_runs_no_code() -> None:
     assert not Path("sprung").exists()
 
 
+@pytest.mark.usefixtures("onnx")
 @pytest.mark.parametrize("name", ["model.zip", "model.onnx"])
 def test_a_file_that_is_no_model_is_one_line(name: str) -> None:
-    if name.endswith("onnx"):
-        pytest.importorskip("onnxruntime")
     with pytest.raises(UserError, match=rf"^{name}: [Nn]o such file"):
         origin_of(name)
     Path(name).write_text("{}")
@@ -384,39 +386,18 @@ def test_what_is_wrong_with_a_function_is_one_line(function: str, said: str) -> 
 # --- ONNX -------------------------------------------------------------------------------------------------------
 
 
-def exported(*outputs: str, batch: bool = True) -> th.nn.Module:
-    """Write model.onnx for Hover: a layer, the negative of its first output too."""
-    for package in ("onnxscript", "onnxruntime"):
-        pytest.importorskip(package)
-
-    class Network(th.nn.Module):
-        def __init__(self) -> None:
-            super().__init__()
-            self.layer = th.nn.Linear(13, 3)
-
-        def forward(self, seen: th.Tensor) -> tuple[th.Tensor, ...]:
-            found = self.layer(seen)
-            return (found, -found)[: len(outputs)]
-
-    network, shapes = Network().eval(), ({0: th.export.Dim("n", min=1)},)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        program: Any = th.onnx.export(
-            *(network, (th.zeros(2 if batch else 1, 13),)),
-            output_names=list(outputs),
-            dynamic_shapes=shapes if batch else None,
-            dynamo=True,
-            verbose=False,
-        )
-    Path("model.onnx").write_bytes(program.model_proto.SerializeToString())
-    return network
+class Twice(th.nn.Linear):
+    def forward(self, seen: th.Tensor) -> Any:
+        return (found := super().forward(seen)), -found
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(("outputs", "sign", "batch"), [(("mean",), 1, True), (("other", "action"), -1, False)])
-def test_an_onnx_file_gives_the_actions_clipped(outputs: tuple[str, ...], sign: int, batch: bool) -> None:
-    """By the output `action`, or else the first, also where it takes one observation at a time."""
-    network = exported(*outputs, batch=batch)
+@pytest.mark.usefixtures("onnx")
+@pytest.mark.parametrize("batch", [True, False])
+@pytest.mark.parametrize(("outputs", "sign"), [("mean other", 1), ("other actions", -1), ("actions action", -1)])
+def test_an_onnx_file_gives_the_actions_clipped(outputs: str, sign: int, batch: bool) -> None:
+    """By the output `action`, `actions` or the first, also where it takes one observation at a time."""
+    network = Twice(13, 3)
+    write("model.onnx", network, th.zeros(2 if batch else 1, 13), batch=batch, output_names=outputs.split())
     seen = np.random.default_rng(0).normal(size=(20, 13)).astype(np.float32)
     agent = make_agent("model.onnx", HoverTask())
     assert isinstance(agent, BatchAgent)
@@ -427,7 +408,7 @@ def test_an_onnx_file_gives_the_actions_clipped(outputs: tuple[str, ...], sign: 
         configured("evaluate", agent="model.onnx")
 
 
-@pytest.mark.slow
+@pytest.mark.usefixtures("onnx")
 @pytest.mark.parametrize(
     "task",
     [
@@ -439,33 +420,17 @@ def test_an_onnx_file_gives_the_actions_clipped(outputs: tuple[str, ...], sign: 
 )
 def test_a_policy_that_was_exported_flies_as_the_policy_does(task: dict[str, Any]) -> None:
     """Its file takes whole pictures and reduces them itself; it says what it flies."""
-    for package in ("onnxscript", "onnxruntime"):
-        pytest.importorskip(package)
     Path("policy").mkdir()
     config = tiny_config(task)
     export_policy(Path("policy"), make_policy(config), config, {})
     policy = load_policy(Path("policy"))
-    write_onnx(policy, Path("model.onnx"))
+    assert write_onnx(policy, Path("model.onnx")) == OnnxFile("model.onnx").metadata
     evaluation, usual = (configured("evaluate", agent=agent) for agent in ("model.onnx", "policy"))
     assert evaluation.task == usual.task
     seen = np.random.default_rng(0).integers(0, 256, (9, *config.task.observation_space().shape), np.uint8)
     agent = make_agent("model.onnx", evaluation.task)
     assert isinstance(agent, BatchAgent)
     np.testing.assert_array_equal(agent.act_on(seen), policy.act(seen))
-
-
-def test_a_torchscript_file_flies_once_it_is_trusted() -> None:
-    network = th.nn.Linear(13, 3)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DeprecationWarning)
-        th.jit.save(th.jit.script(network), "policy.pt")
-    with pytest.raises(UserError, match=r"^policy.pt: a TorchScript file is a program; .* add --trust, once$"):
-        make_agent("policy.pt", HoverTask())
-    with trusting():
-        agent = make_agent("policy.pt", HoverTask())
-    seen = np.ones(13, np.float32)
-    with th.inference_mode():
-        np.testing.assert_array_equal(agent.act(seen, {}), network(th.from_numpy(seen)).clamp(-1.0, 1.0).numpy())
 
 
 def test_without_onnxruntime_an_onnx_file_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:

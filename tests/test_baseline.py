@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from gymnasium import spaces
+from gymnasium import Wrapper, spaces
 
 from tests.test_learner import SHAPE, config_of
 from uavaccel.errors import UserError
@@ -165,6 +165,19 @@ def test_what_a_reset_was_given_is_of_that_reset() -> None:
         lanes.reset()
         assert asked.pop() == expected
         assert lanes.reset_infos == begun
+
+
+def test_a_vec_env_asks_the_lanes_that_it_is_asked_about() -> None:
+    asked: list[Any] = []
+    batch = batch_of_three(mark=7, call_each=lambda *given: say_and(asked, given, lambda: ["c", "a"]))
+    lanes = adapters.vec_env(batch)
+    assert lanes.env_method("charge", 0.5, "learning", indices=[2, 0]) == ["c", "a"]
+    assert asked == [("charge", [(0.5, "learning")] * 2, [2, 0])]
+    assert (lanes.get_attr("mark", 1), lanes.env_is_wrapped(Wrapper)) == ([7], [False] * 3)
+    with pytest.raises(TypeError, match="charge: keywords do not travel"):
+        lanes.env_method("charge", phase="learning")
+    with pytest.raises(AttributeError, match="mark: environments of a batch have no attributes of their own"):
+        lanes.set_attr("mark", 8)
 
 
 # --- an extra -----------------------------------------------------------------------------------------------------

@@ -34,7 +34,7 @@ from uavaccel.files import file_sha256
 from uavaccel.metrics.intervals import Proportion
 from uavaccel.realtime import Certificate, Measurement, RealTime, certify, measure
 from uavaccel.realtime.thinking import thinking_time
-from uavaccel.rl.agents import origin_of
+from uavaccel.resources import asset
 from uavaccel.units import NS_PER_S
 from uavaccel.wire.latency import read_latency
 
@@ -197,6 +197,39 @@ TIMES: dict[str, Any] = {"calibration": "times.json", "latencies": [0, 1, 2], "e
 def times(here: Path) -> None:
     spread_us = [float(us) for us in range(0, 60_000, 5_000)]
     (here / "times.json").write_text(json.dumps({"latency": {"request_us": {"call": spread_us}}}))
+
+
+class Cut(Count):
+    """By its seed cut short, and of other rewards; it says `won` in other episodes than `is_success`."""
+
+    def step(self, action: NDArray[np.float32]) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
+        seen, reward, over, _, info = super().step(action)
+        cut = self._first == 1 and self._count == 19
+        return seen, reward + self._first / 8, over, cut, {**info, "won": self._first != 1}
+
+
+@pytest.mark.parametrize("success", [None, "won"])
+@pytest.mark.usefixtures("times")
+def test_a_row_is_what_a_flight_of_ones_own_tells(success: str | None) -> None:
+    """With the times of the file, which a `scale` stretches as a factor does, at another ClockSpeed."""
+    document = json.loads(Path("times.json").read_text())
+    keys: dict[str, Any] = {"clock_speed": 2.0, "meanwhile": "default"}
+    swept: dict[str, Any] = {"latencies": [2, 0.5], "calibration": "times.json", "episodes": 3, "seed": 5}
+    for row in certify(Cut, Drawing(), **swept, success=success, **keys).rows:
+        document["latency"]["scale"] = row["latency"]
+        Path("own.json").write_text(json.dumps(document))
+        env, policy = RealTime(Cut(), latency_s="own.json", **keys), Drawing()
+        (seen, _), infos, total, ends = env.reset(seed=row["seed"]), list[Any](), 0.0, [False, False]
+        policy.reset(row["seed"])
+        while not any(ends):
+            seen, reward, *ends, info = env.step(policy(seen))
+            infos, total = [*infos, info], total + reward
+        thought_s = np.median([info["thinking_s"] for info in infos])
+        assert row == {
+            "latency": row["latency"], "seed": row["seed"], "return": total, "steps": len(infos),
+            "success": infos[-1][success or "is_success"], "terminated": ends[0],
+            "thinking_s": pytest.approx(thought_s, abs=2e-9), "simulated_s": infos[-1]["simulated_s"],
+        }  # fmt: skip
 
 
 @pytest.mark.usefixtures("times")
@@ -519,7 +552,7 @@ def test_the_policy_that_ships_is_certified_in_its_environment() -> None:
     assert not ran(f"{named} --jobs 2 --out again")
     assert contents("again") == contents("certificate")
     document = json.loads(Path("certificate/certificate.json").read_text())
-    assert document["policy"]["sha256"] == origin_of("default").sha256()
+    assert document["policy"]["sha256"] == file_sha256(asset("policies/default/policy.pt"))
     assert document["environment"]["kwargs"]["speed_m_s"] == 1.5  # not that of its training
     assert [cell["latency_s"] for cell in document["cells"]] == [0, 0.1]
 

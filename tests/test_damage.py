@@ -9,7 +9,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 import torch as th
 
@@ -81,17 +80,6 @@ def test_a_damaged_checkpoint_is_one_line(copy: Path, name: str, damage: Callabl
     assert RunDirectory(copy).config()["games"] == 5
 
 
-def test_a_checkpoint_of_more_environments_says_how_many(copy: Path) -> None:
-    checkpoint = find_checkpoint(copy / CHECKPOINTS)
-    assert checkpoint is not None
-    with np.load(checkpoint / "games.npz") as saved:
-        games = dict(saved)
-    np.savez(checkpoint / "games.npz", **games, **{f"9{name}": each for name, each in games.items()})
-    count = 2 * len({name.partition(".")[0] for name in games})
-    with pytest.raises(UserError, match=f"the checkpoint has {count} environments; go on with as many"):
-        train_into(copy, config(), resume=True)
-
-
 def test_rows_that_only_the_checkpoint_knows_are_named(copy: Path) -> None:
     rows = copy / "rows.jsonl"
     rows.write_bytes(rows.read_bytes().splitlines(keepends=True)[0])
@@ -146,11 +134,19 @@ def cut_and_agreed(folder: Path) -> None:
     agree(folder)
 
 
+def emptied_and_agreed(folder: Path) -> None:
+    (folder / WEIGHTS).write_bytes(b"")
+    agree(folder)
+
+
 @pytest.mark.parametrize(("damage", "said"), [
     (weights_by(lambda tensor: tensor * float("nan")), r"policy\.pt: .* is not finite: a training that diverged"),
     (lambda folder: cut(folder / WEIGHTS), r"policy\.pt: is not the file that policy\.json describes"),
     (cut_and_agreed, r"policy\.pt: "),
     (lambda folder: (folder / WEIGHTS).unlink(), r"policy\.pt: cannot be read: No such file"),
+    (emptied_and_agreed, r"policy\.pt: .* \(EOFError\); train"),
+    (lambda folder: (folder / MANIFEST).unlink(), r"/run: holds no policy: no policy\.json in it; name the folder"),
+    (shutil.rmtree, r"/run: holds no policy: no such folder; name the folder of a training that ended$"),
     (lambda folder: write_weights(folder, [1, 2]), r"policy\.pt: is no state dict of tensors alone"),
     (lambda folder: write_weights(folder, {"trap": Trap(folder / "sprung")}), r"policy\.pt: is no state dict"),
     (lambda folder: write_weights(folder, {0: th.zeros(1)}), r"policy\.pt: is no state dict of tensors alone"),
@@ -176,6 +172,7 @@ def test_a_damaged_policy_is_one_line(copy: Path, damage: Callable[[Path], Any],
     damage(copy)
     with pytest.raises(UserError, match=said) as caught:
         load_policy(copy)
+    assert str(caught.value).startswith(f"{copy}")
     assert "\n" not in str(caught.value)
     assert not (copy / "sprung").exists(), "no code runs"
     if "policy\\.json: d" in said or "a damaged" in said:

@@ -90,11 +90,14 @@ def test_an_offset_is_reached_and_kept(tmp_path: Path) -> None:
         assert min(near) - 0.1 <= row["distance_m"] <= max(near) + 0.1
 
 
-@pytest.mark.parametrize(("y_m", "heading_deg"), [(0.0, 60.0), (1.9, 0.0), (2.0, 0.0), (4.0, -60.0)])
-def test_an_offset_agent_turns_towards_its_offset(y_m: float, heading_deg: float) -> None:
-    task = configured("evaluate", agent="straight").task
-    action = OffsetAgent(2.0, task).act(np.zeros(0), {"position_m": [0.0, y_m, -2.0]})
-    assert task.headings_deg[action] == heading_deg
+@pytest.mark.parametrize("headings_deg", [[-60.0, -30.0, 0.0, 60.0], [20.0, 0.0, 50.0, -10.0], [3.0, -80.0]])
+def test_an_offset_agent_turns_towards_its_offset(headings_deg: list[float]) -> None:
+    """By its outermost headings, and goes on by that nearest to the lane's, in whatever order these are."""
+    task = configured("evaluate", f"task.headings_deg={headings_deg}", agent="straight").task
+    ahead = min(headings_deg, key=abs)
+    for off_m, heading_deg in ((-2.0, max(headings_deg)), (-0.1, ahead), (0.0, ahead), (2.0, min(headings_deg))):
+        action = OffsetAgent(-1.5, task).act(np.zeros(0), {"position_m": [7.0, off_m - 1.5, -2.0]})
+        assert task.headings_deg[action] == heading_deg
 
 
 # --- results ----------------------------------------------------------------------------------------------------
@@ -362,6 +365,8 @@ def test_a_noisy_sensor_is_what_flies(tmp_path: Path) -> None:
     ("agent", "overrides", "said"),
     [
         ("nowhere", (), "nowhere: holds no policy.*"),
+        ("default", ("task.knows=[]", "task.picture_size=[64, 36]"),
+         re.escape("task.picture_size = (64, 36): default was trained with (256, 144)")),
         *(
             (f"offset:{wrong}", (), f"offset:{wrong}: must be offset:METRES, .* within the lane of 10 m.*")
             for wrong in ("left", "", "nan", "-10.1", "10.1", "-inf")
@@ -370,6 +375,8 @@ def test_a_noisy_sensor_is_what_flies(tmp_path: Path) -> None:
             ("default", (override,), re.escape(said))
             for override, said in (
                 ("task.history=1", "task.history = 1: default was trained with 2"),
+                ("task.also_state=true", "task.also_state = True: default was trained with False"),
+                ("task.knows=[frame_age]", "task.knows = ('frame_age',): default was trained with ('last_action',)"),
                 ("task.observation=depth", "task.observation = 'depth': default was trained with 'dvs'"),
                 ("task.t_sample_s=0.5",
                  "task.t_sample_s = 0.5: 4 frames per observation, but default was trained with 6"),

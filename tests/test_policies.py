@@ -14,6 +14,7 @@ import stable_baselines3 as sb3
 import torch as th
 from gymnasium import spaces
 
+from tests.onnx_here import onnx, write  # noqa: F401 - a fixture
 from uavaccel.errors import UserError
 from uavaccel.realtime import load_policy
 
@@ -30,12 +31,18 @@ class Space:
 
 REACH = Space(spaces.Box(-1.0, 1.0, (4,), np.float64), spaces.Box(-0.5, 0.5, (2,), np.float32))
 PICK = Space(spaces.Box(-1.0, 1.0, (2, 2), np.float64), spaces.Discrete(3, start=2))
+FLAT, FLATS = (Space(REACH.observation_space, spaces.Discrete(count, start=2)) for count in (3, 4))
 PARTS = Space(spaces.Dict({"at": spaces.Box(-1.0, 1.0, (4,)), "to": spaces.Box(-1.0, 1.0, (2,))}), REACH.action_space)
 
 
 class Sum(th.nn.Module):
     def forward(self, seen: dict[str, th.Tensor]) -> th.Tensor:
         return seen["at"][:, :2] + seen["to"]
+
+
+class SumOfTwo(th.nn.Module):
+    def forward(self, to: th.Tensor, at: th.Tensor) -> th.Tensor:
+        return at[:, :2] + to
 
 
 def scripted(module: th.nn.Module) -> None:
@@ -59,16 +66,21 @@ def test_a_model_of_stable_baselines3_acts_in_any_environment(algorithm: str, en
         seen, *_ = env.step(action)
 
 
-@pytest.mark.parametrize("kind", ["module", "file"])
+@pytest.mark.usefixtures("onnx")
+@pytest.mark.parametrize("kind", ["module", "policy.pt", "policy.onnx"])
 @pytest.mark.parametrize("env", [REACH, PICK, PARTS], ids=["vector", "discrete", "dictionary"])
 def test_a_module_of_pytorch_acts_on_batches_of_one(env: Space, kind: str) -> None:
-    """Nothing is dropped out, vectors are clipped, of ratings the best is taken; so it is as a TorchScript file."""
+    """Nothing is dropped out, vectors are clipped, of ratings the best is taken; so it is as a file."""
     th.manual_seed(0)
     layer = th.nn.Linear(4, 3 if env is PICK else 2)
     module = Sum() if env is PARTS else th.nn.Sequential(th.nn.Dropout(0.9), th.nn.Flatten(), layer)
-    if kind == "file":
+    if kind == "policy.pt":
         scripted(module)
-    policy = load_policy(module if kind == "module" else "policy.pt", env, trust=True)
+    elif env is PARTS:
+        write("policy.onnx", SumOfTwo(), th.zeros(1, 2), th.zeros(1, 4))
+    else:
+        write("policy.onnx", module, th.zeros(np.shape([env.observation_space.sample()])))
+    policy = load_policy(module.train() if kind == "module" else kind, env, trust=True)
     env.observation_space.seed(1)
     for _ in range(5):
         seen = env.observation_space.sample()
@@ -106,20 +118,20 @@ def test_numbers_of_a_network_are_those_of_the_actions(number: int) -> None:
             policy(seen)
 
 
-def test_an_onnx_file_acts_in_any_environment() -> None:
-    for package in ("onnxscript", "onnxruntime"):
-        pytest.importorskip(package)
-    network = th.nn.Linear(4, 3).eval()
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        program: Any = th.onnx.export(network, (th.zeros(1, 4),), dynamo=True, verbose=False)
-    Path("policy.onnx").write_bytes(program.model_proto.SerializeToString())
-    pick = Space(REACH.observation_space, PICK.action_space)
-    policy, seen = load_policy("policy.onnx", pick), np.array([0.1, -0.2, 0.3, 0.4])
-    with th.no_grad():
-        assert policy(seen) == 2 + int(network(th.as_tensor(seen, dtype=th.float32)[None])[0].argmax())
+@pytest.mark.usefixtures("onnx")
+def test_an_onnx_file_of_other_spaces_is_one_line() -> None:
+    write("policy.onnx", th.nn.Linear(4, 3), th.zeros(1, 4))
+    with pytest.raises(UserError, match=r"^\./policy\.onnx: gives numbers that are NaN or infinite$"):
+        load_policy("./policy.onnx", FLAT)(np.full(4, np.nan))
     with pytest.raises(UserError, match=r"^policy\.onnx: its observations are \(4,\), the environment's \(1,\)$"):
-        load_policy("policy.onnx", Space(spaces.Box(0, 1, (1,)), PICK.action_space))
+        load_policy("policy.onnx", Space(spaces.Box(0, 1, (1,)), FLAT.action_space))
+    forms = (REACH, r"\(3,\), the environment's \(2,\)"), (FLATS, "one of 2 to 4, the environment's one of 2 to 5")
+    for env, form in forms:
+        with pytest.raises(UserError, match=rf"^policy\.onnx: its actions are {form}$"):
+            load_policy("policy.onnx", env)
+    write("policy.onnx", SumOfTwo(), th.zeros(1, 2), th.zeros(1, 4))
+    with pytest.raises(UserError, match=r"^policy\.onnx: its observations are at \(4,\), to \(2,\), the environment's"):
+        load_policy("policy.onnx", REACH)
 
 
 def test_weights_have_a_hash_and_so_has_the_file_of_a_function() -> None:

@@ -307,7 +307,7 @@ def test_a_loop_of_dictionaries_shows_last_and_first_frames() -> None:
     seen, last = np.array([[1.0], [2.0], [3.0]]), np.array([None, np.array([9.0]), np.array([8.0])], object)
     lost, cut = np.array([False, True, False]), np.array([False, False, True])
     batch = SimpleNamespace(
-        reset=lambda seed: (seen, {}),
+        reset=lambda seed: (seen + seed - 3, {}),
         step=lambda action: (seen + action, np.array([0.5, 1.5, 2.5]), lost, cut, {"final_obs": last}),
     )
     loop = TensorLoop(batch)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import subprocess
@@ -43,12 +44,22 @@ class Counting(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
     def reset(self, *, seed: int | None = None, options: Any = None) -> tuple[NDArray[np.float32], dict[str, Any]]:
         super().reset(seed=seed)
         self.applied: list[float] = []
-        return np.zeros(1, np.float32), {}
+        return np.zeros(1, np.float32), {"drawn": self.np_random.random(), "options": options}
 
     def step(self, action: NDArray[np.float32]) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
         self.applied.append(float(action[0]))
         count = len(self.applied)
         return np.full(1, count, np.float32), float(action[0]), count >= 50, False, {}
+
+
+class Closing(Counting):
+    """It leaves a file where it is closed."""
+
+    def __init__(self, file: Path) -> None:
+        self._file = file
+
+    def close(self) -> None:
+        self._file.touch()
 
 
 class Drawing(ThinkingTime):
@@ -203,7 +214,13 @@ def drawn_s(source: ThinkingTime, count: int = 4000) -> NDArray[np.float64]:
     return np.array([source.sample_ns(generator) for _ in range(count)]) / 1e9
 
 
-def test_distributions_are_those_that_were_named() -> None:
+class Half:
+    """No source: nobody can tell it of an observation."""
+
+    sample_ns = Drawing.sample_ns
+
+
+def test_distributions_are_those_that_were_named(tmp_path: Path) -> None:
     log = drawn_s(lognormal(0.05, 0.2))
     assert np.median(log) == pytest.approx(0.05, rel=0.05)
     assert np.quantile(log, 0.99) == pytest.approx(0.2, rel=0.15)
@@ -211,6 +228,14 @@ def test_distributions_are_those_that_were_named() -> None:
         few = drawn_s(samples(listed))
         assert set(few) == set(np.round(np.asarray(listed, float), 6)), "of the list, and nothing between"
         assert np.mean(few) == pytest.approx(np.mean(listed), rel=0.1)
+    uniform = {"quantiles": [0, 1], "scale": 2, "request_us": {"call": [0, 9e4], "move": [0, 1e4]}}
+    (tmp_path / "both.json").write_text(
+        json.dumps({"latency": {**uniform, "reply_us": {"call": [0, 9e4], "image": [0, 3e4]}}})
+    )
+    both = drawn_s(thinking_time(tmp_path / "both.json"))  # a sum of two, each drawn for itself
+    assert (np.mean(both), np.std(both)) == pytest.approx((0.04, np.hypot(0.02, 0.06) / 12**0.5), rel=0.05)
+    with pytest.raises(UserError, match=r"^latency_s: must be seconds, a list of them, .*, not <.*Half"):
+        thinking_time(Half())
     shipped = read_latency(Path("experiments/latency_airsim.yaml"))
     trips = drawn_s(thinking_time("experiments/latency_airsim.yaml"))
     tables = shipped.request_us.get("move", shipped.request_us["call"]), shipped.reply_us["image"]
@@ -243,7 +268,8 @@ def test_what_was_measured_is_replayed_as_a_distribution(tmp_path: Path) -> None
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("[1", "neither JSON nor YAML: "),
+        *((text, "neither JSON nor YAML: ") for text in ("[1", "latency: 2024-13-45", "[" * 9_999)),
+        ("latency: ü", "not UTF-8 text$"),
         ("[1, 2]", "latency must be a mapping; 'measured' and its save"),
         ("latency: {request_us: 7}", "request_us must be a mapping"),
         ("latency: {name: none}", "latency.request_us.call: needs microseconds at the quantiles"),
@@ -267,7 +293,7 @@ def test_what_was_measured_is_replayed_as_a_distribution(tmp_path: Path) -> None
     ],
 )
 def test_a_calibration_file_that_does_not_fit_is_one_line(text: str, said: str, tmp_path: Path) -> None:
-    (tmp_path / "own.yaml").write_text(text)
+    (tmp_path / "own.yaml").write_text(text, "latin-1")
     with pytest.raises(UserError, match=f"own.yaml: {said}") as caught:
         thinking_time(tmp_path / "own.yaml")
     assert "\n" not in str(caught.value)
@@ -521,26 +547,31 @@ def test_an_episode_begins_without_the_actions_of_the_one_before() -> None:
 
 @pytest.mark.wall_clock
 @pytest.mark.slow
-def test_a_process_of_its_own_goes_on_by_the_machines_clock() -> None:
+def test_a_process_of_its_own_goes_on_by_the_machines_clock(tmp_path: Path) -> None:
     """However long anything took: what passed inside is what the thinking times that were measured say."""
-    process = RealTimeProcess(Counting)
-    process.reset(seed=0)
+    keys: dict[str, Any] = {"period_s": 0.05, "observe_age": True}
+    process = RealTimeProcess(Counting, **keys)
+    assert process.reset(seed=7, options={"a": 1})[1] == Counting().reset(seed=7, options={"a": 1})[1]
+    assert process.observation_space == RealTime(Counting(), **keys).observation_space
     expected = 0
     for thinking_ticks in range(5):
         observation, _, over, _, info = process.step(one(0.1))
-        expected += -(-round(info["thinking_s"] * 1e9) // 20_000_000) + 1
+        thought = -(-round(info["thinking_s"] * 1e9) // 50_000_000)
+        expected += thought + 1
         if over:
             break
-        assert observation == expected
-        assert info["meanwhile_s"] >= info["thinking_s"] - 1e-9
+        assert observation.tolist() == [expected, np.float32(info["meanwhile_s"])]
+        assert info["meanwhile_s"] == pytest.approx(0.05 * thought)
         assert len(process.thinking.taken_ns) == thinking_ticks + 1
     process.close()
     with pytest.raises(UserError, match=r"the process of the environment (was ended by SIGKILL|ended with status 0)"):
         process.step(one(0.1))
-    stopped = RealTimeProcess(Counting, "tcsc", clock_speed=100)
+    stopped = RealTimeProcess(partial(Closing, tmp_path / "closed"), "tcsc", clock_speed=100, chunk=3, execute=2)
     stopped.reset(seed=0)
-    assert [int(stopped.step(one(0.1))[0][0]) for _ in range(3)] == [1, 2, 3]
+    assert [int(stopped.step(np.zeros((3, 1)))[0][0]) for _ in range(3)] == [2, 4, 6]
+    assert stopped.action_space.shape == (3, 1)
     stopped.close()
+    assert (tmp_path / "closed").exists()
     with pytest.raises(UserError, match=r"^period_s: FrozenLakeEnv does not say how long a step is"):
         RealTimeProcess(partial(gymnasium.make, "FrozenLake-v1"))
 

@@ -21,7 +21,7 @@ import uavaccel
 from tests.host_kernels import a_gpu, host_kernels  # noqa: F401 - fixtures
 from uavaccel.envs.hover import Hover
 from uavaccel.errors import UserError
-from uavaccel.realtime import RealTime, RealTimeVector, ThinkingTime, lognormal
+from uavaccel.realtime import RealTime, RealTimeVector, ThinkingTime, lognormal, samples
 from uavaccel.realtime.thinking import thinking_generator
 
 COUNT, STEPS, SEED = 3, 25, 40
@@ -225,16 +225,17 @@ class Chance(ThinkingTime):
         return int(generator.integers(1, 10**9))
 
 
-def test_every_reset_begins_with_thoughts_drawn_by_the_seeds_of_each() -> None:
+@pytest.mark.parametrize("source", [Chance(), samples(LATENCIES)])
+def test_every_reset_begins_with_thoughts_drawn_by_the_seeds_of_each(source: ThinkingTime) -> None:
     """Also where an episode has ended in the step before, and would have begun in the next."""
     batch = Clocks()
-    vector = RealTimeVector(batch, Chance())
+    vector = RealTimeVector(batch, source)
     for _ in range(2):
         vector.reset(seed=SEED)
         for _ in range(2):
             vector.step(None)
     generators = [thinking_generator(SEED + place) for place in range(2)]
-    thoughts_ns = [[Chance().sample_ns(generator) for generator in generators] for _ in range(2)]
+    thoughts_ns = [[source.sample_ns(generator) for generator in generators] for _ in range(2)]
     assert batch.charged_ns == 2 * thoughts_ns
 
 
@@ -253,6 +254,8 @@ def test_every_reset_begins_with_thoughts_drawn_by_the_seeds_of_each() -> None:
         (lambda: uavaccel.make_vec("hover", 2, simulator="kernels"), {}, "KernelBatch: timing = lockstep: make"),
         (lambda: uavaccel.make_vec("hover", 2, simulator="kernels", **OWN), {"clock_speed": 3.0, "observe_age": True},
          "observe_age: leave it out: observations of KernelBatch stay as they are"),
+        (lambda: uavaccel.make_vec("hover", 2, simulator="kernels", **OWN), {"clock_speed": 3.0, "observe_actions": 2},
+         "observe_actions: leave it out: observations of KernelBatch stay as they are"),
         (lambda: uavaccel.make_vec("hover", 2, simulator="kernels", **OWN), {"clock_speed": 3.0, "delay_steps": 1},
          "delay_steps: KernelBatch's own task says how long a step is; give latency_s"),
     ],

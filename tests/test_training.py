@@ -29,7 +29,7 @@ from uavaccel.rl import lanes
 from uavaccel.rl.agents import make_agent
 from uavaccel.rl.double_dqn import HostDQN
 from uavaccel.rl.lanes import make_lanes, start_exact_lanes
-from uavaccel.rl.learner import find_checkpoint, make_learner
+from uavaccel.rl.learner import LearnerState, find_checkpoint, games_of, load_checkpoint, make_learner, save_checkpoint
 from uavaccel.rl.policy import load_policy, trained_with, weights_sha256
 from uavaccel.suites import trainer
 from uavaccel.suites.evaluate import EvaluateConfig, fly_game
@@ -155,14 +155,39 @@ def test_a_training_that_is_over_goes_on_for_more_games(tmp_path: Path, monkeypa
     assert len(RunDirectory(tmp_path / "unsaved").rows()) == 2
 
 
-def test_a_checkpoint_without_its_last_file_does_not_count(tmp_path: Path) -> None:
-    for name, whole in (("0000002", True), ("0000003", True), ("0000004", False)):
+def test_a_checkpoint_gives_each_lane_its_own_state_back(tmp_path: Path) -> None:
+    """Also of more than ten; the newest that has its last file is the only one, unless it is damaged."""
+    states = [{"at.x": np.array([lane, 0.5]), "over": np.array(lane > 4)} for lane in range(12)]
+    put: dict[int, Any] = {}
+
+    def set_state(lane: int, state: Any) -> Any:
+        put[lane] = {name: each.tolist() for name, each in state.items()}
+        return np.full(3, lane)
+
+    lanes = SimpleNamespace(num_envs=12, get_state=states.__getitem__, set_state=set_state)
+    kept = LearnerState({"weights": th.ones(2)}, {"rewards": np.arange(3.0)}, {"returns": [0.25, 1.5]})
+    back: list[Any] = []
+    learner: Any = SimpleNamespace(lanes=lanes, get_state=lambda: kept, set_state=lambda *given: back.extend(given))
+    for learner.games in (5, 12):
+        save_checkpoint(tmp_path, learner)
+    newest = tmp_path / "0000012"
+    assert ([*tmp_path.iterdir()], find_checkpoint(tmp_path / "elsewhere")) == ([newest], None)
+    load_checkpoint(newest, learner)
+    assert games_of(newest) == 12
+    assert [put[lane] for lane in range(12)] == [{name: each.tolist() for name, each in one.items()} for one in states]
+    assert back[1].tolist() == [[lane] * 3 for lane in range(12)]
+    assert (back[0].counters, back[0].arrays["rewards"].tolist()) == (kept.counters, [0, 1, 2])
+    assert th.equal(back[0].tensors["weights"], th.ones(2))
+    for name in ("0000003", "0000007", "0000020"):
         (tmp_path / name).mkdir()
-        (tmp_path / name / "learner.pt").touch()
-        if whole:
-            (tmp_path / name / "state.json").touch()
-    assert find_checkpoint(tmp_path) == tmp_path / "0000003"
-    assert find_checkpoint(tmp_path / "elsewhere") is None
+        (tmp_path / name / ("learner.pt" if name == "0000020" else "state.json")).touch()
+    assert find_checkpoint(tmp_path) == newest
+    lanes.num_envs = 11
+    with pytest.raises(UserError, match=r"^the checkpoint has 12 environments; go on with as many$"):
+        load_checkpoint(newest, learner)
+    (newest / "games.npz").unlink()
+    with pytest.raises(UserError, match=r"0000012: a damaged .* delete it and --resume to go on from 0000007$"):
+        load_checkpoint(newest, learner)
 
 
 def test_evaluations_leave_the_training_as_it_is(tmp_path: Path) -> None:

@@ -53,7 +53,7 @@ def form_of(space: Space) -> str:
     if isinstance(space, spaces.Discrete):
         return f"one of {space.start} to {space.start + space.n - 1}"
     if isinstance(space, spaces.Dict):
-        return ", ".join(f"{name} {form_of(part)}" for name, part in space.spaces.items())
+        return ", ".join(f"{name} {form_of(part)}" for name, part in sorted(space.spaces.items()))
     return str(space.shape)
 
 
@@ -263,7 +263,9 @@ class OnnxFile(PolicyFile):
         self.metadata: Mapping[str, str] = self._session.get_modelmeta().custom_metadata_map
 
     def forms(self, seen: Space, actions: Space) -> Iterator[tuple[str, str, str]]:
-        yield "observations", self.inputs, form_of(seen)
+        inputs = sorted((each.name, str(tuple(each.shape[1:]))) for each in self._session.get_inputs())
+        named = len(inputs) > 1 or isinstance(seen, spaces.Dict)
+        yield "observations", ", ".join(f"{name} {form}" if named else form for name, form in inputs), form_of(seen)
         shape = self._output.shape[1:]
         if len(shape) == 1 and isinstance(shape[0], int):
             first = actions.start if isinstance(actions, spaces.Discrete) else None
@@ -272,12 +274,6 @@ class OnnxFile(PolicyFile):
 
     def load(self, seen: Space, actions: Space) -> BatchPolicy:
         return lambda observations: actions_of(*self._answer(observations), actions, self.name)
-
-    @property
-    def inputs(self) -> str:
-        """The form of its inputs, in words."""
-        inputs = {each.name: tuple(each.shape[1:]) for each in self._session.get_inputs()}
-        return ", ".join(f"{name} {shape}" if len(inputs) > 1 else str(shape) for name, shape in inputs.items())
 
     @property
     def _output(self) -> Any:

@@ -7,7 +7,7 @@ import os
 import pickle
 import traceback
 from collections.abc import Callable, Mapping
-from contextlib import suppress
+from contextlib import closing, suppress
 from multiprocessing.connection import Connection
 from multiprocessing.context import SpawnProcess
 from multiprocessing.util import Finalize
@@ -178,13 +178,13 @@ def _serve(connection: Connection, make_env: MakeEnv, options: LoopOptions, pare
     """Run the environment's process until the agent's end of the connection is closed."""
     work_for_parent(parent)
     try:
-        env = make_env()
-        loop = ControlLoop(plant_of(env, options.period_s), options, env.action_space)
-        server = EnvironmentServer(connection, loop, env)
-        connection.send((server.extras.space, env.action_space, env.metadata, loop.plant.tick_ns))
-        while True:
-            name, *arguments = server.wait()
-            connection.send(getattr(server, name)(*arguments))
+        with closing(make_env()) as env:
+            loop = ControlLoop(plant_of(env, options.period_s), options, env.action_space)
+            server = EnvironmentServer(connection, loop, env)
+            connection.send((server.extras.space, env.action_space, env.metadata, loop.plant.tick_ns))
+            while True:
+                name, *arguments = server.wait()
+                connection.send(getattr(server, name)(*arguments))
     except EOFError:
         return
     except Exception as error:  # whatever an environment of anybody's raises
