@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from uavaccel.clock import MonotonicClock
 from uavaccel.commands import COMMANDS
-from uavaccel.envs.arrays import mapped
+from uavaccel.envs.arrays import copied
 from uavaccel.envs.checks import (
     RENDER_MODES,
     Functions,
@@ -368,7 +368,7 @@ class FlightEnv(gymnasium.Env[Observation, Action], Generic[TaskT]):
         wall_s = (self._client.now_ns() - self._start_ns) / NS_PER_S if self._client else 0.0
         spent = {"wall_s": wall_s, "phase_s": self._stopwatches[0].spent_s()}
         host = {"host_phase_s": self._stopwatches[1].spent_s()} if self.task.report_host_times else {}
-        own = mapped(lambda number: number, {**self.task.info(self._now), **self._conditions})  # not the game's
+        own = copied({**self.task.info(self._now), **self._conditions})  # not the game's
         return {**told_of(self.task, self._now), **spent, **own, **host}
 
     def _host_disturbances(self) -> Info:

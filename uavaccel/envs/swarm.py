@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from uavaccel.config import Count, Speed
-from uavaccel.envs.arrays import mapped
+from uavaccel.envs.arrays import copied
 from uavaccel.envs.checks import check_reward, make_task, seed_of, within
 from uavaccel.envs.judging import autopilot_goal
 from uavaccel.envs.sensors import Sensor
@@ -278,8 +278,7 @@ class Swarm(ParallelEnv):  # type: ignore[misc]
 
     def _infos(self) -> dict[str, Info]:
         flying = {agent: now for agent, now in self._moments.items() if agent in self.agents}
-        own = {agent: mapped(lambda number: number, self.task.info(now)) for agent, now in flying.items()}
-        return {agent: {**told_of(self.task, now), **own[agent]} for agent, now in flying.items()}
+        return {agent: {**told_of(self.task, now), **copied(self.task.info(now))} for agent, now in flying.items()}
 
 
 def beside(there: Kinematics, here: Kinematics) -> list[float]:

@@ -161,18 +161,16 @@ def settings_of(options: FlightOptions) -> Settings | None:
         return None
     from uavaccel.wire.settings import read_settings
 
-    settings, warnings = None, list[str]()
+    settings = None
     try:
         settings = read_settings(options.settings)
-        if without_effect := settings.without_effect():
-            warnings.append(f"{options.settings}: without effect here: {', '.join(without_effect)}")
+        warning = settings.warning(options.settings)
     except UserError as error:
         if not options.settings_found:
             raise
-        warnings.append(f"{error}; flown without")
-    if options.reference is None:
-        for line in warnings:
-            print(f"uavaccel: warning: {line}", file=sys.stderr, flush=True)
+        warning = f"{error}; flown without"
+    if warning and options.reference is None:
+        print(f"uavaccel: warning: {warning}", file=sys.stderr, flush=True)
     return settings
 
 

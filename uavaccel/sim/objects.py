@@ -22,10 +22,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from uavaccel.clock import MonotonicClock
 from uavaccel.sim.lane import APPEARANCE_GROUP
-from uavaccel.sim.poses import Pose
+from uavaccel.sim.poses import Pose, from_mujoco
 from uavaccel.sim.scene import PARKED_M, SPARE, refit_bounding_boxes
 from uavaccel.sim.world import World
-from uavaccel.units import NS_PER_S, mujoco_to_ned, ned_to_mujoco, quaternion_mujoco_to_ned, quaternion_ned_to_mujoco
+from uavaccel.units import NS_PER_S, mujoco_to_ned, ned_to_mujoco, quaternion_ned_to_mujoco
 
 Scale = tuple[float, float, float]
 
@@ -87,7 +87,7 @@ class SceneObjects:
         """Return an object's pose, NED; None without one of that name."""
         if (geom := self.geom(name)) is None:
             return None
-        here = _ned(self._model.geom_pos[geom], self._model.geom_quat[geom])
+        here = from_mujoco(self._model.geom_pos[geom], self._model.geom_quat[geom])
         within = self._within(geom)
         return here if within is None else here.of(within.inwards_pose(Pose()))
 
@@ -154,7 +154,7 @@ class SceneObjects:
         if self._kinds[geom] == PLANE:  # whose box is infinitely deep
             half, middle = (*self._model.geom_size[geom, :2], 0.0), np.zeros(3)
         signs = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T
-        pose = _ned(self._model.geom_pos[geom], self._model.geom_quat[geom])
+        pose = from_mujoco(self._model.geom_pos[geom], self._model.geom_quat[geom])
         return np.asarray((signs * np.array(half) + middle) @ pose.matrix().T + np.array(pose.position_m))
 
     def _within(self, geom: int) -> Pose | None:
@@ -162,7 +162,7 @@ class SceneObjects:
         if self._kinds[geom] != MESH:
             return None
         mesh = int(self._model.geom_dataid[geom])
-        return _ned(self._model.mesh_pos[mesh], self._model.mesh_quat[mesh])
+        return from_mujoco(self._model.mesh_pos[mesh], self._model.mesh_quat[mesh])
 
     def _place(self, geom: int, pose: Pose) -> None:
         if (within := self._within(geom)) is not None:
@@ -198,12 +198,6 @@ class SceneObjects:
     def _moved(self, geom: int) -> None:
         refit_bounding_boxes(self._model, {geom})
         self._world.surroundings_changed()
-
-
-def _ned(position: NDArray[np.float64], quaternion: NDArray[np.float64]) -> Pose:
-    x, y, z = mujoco_to_ned(position).tolist()
-    w, i, j, k = quaternion_mujoco_to_ned(quaternion).tolist()
-    return Pose((x, y, z), (w, i, j, k))
 
 
 def _half_sizes(model: mujoco.MjModel, geom: int) -> Scale:

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from uavaccel.errors import UserError
 from uavaccel.kinematics import Quaternion, Vector
+from uavaccel.units import mujoco_to_ned, quaternion_mujoco_to_ned
 
 LEVEL: Quaternion = (1.0, 0.0, 0.0, 0.0)
 HERE: Vector = (0.0, 0.0, 0.0)
@@ -48,6 +49,13 @@ class Pose(NamedTuple):
         w, x, y, z = self.orientation_wxyz
         place_x, place_y, place_z = (float(value) for value in self.inwards(other.position_m))
         return Pose((place_x, place_y, place_z), multiply((w, -x, -y, -z), other.orientation_wxyz))
+
+
+def from_mujoco(position_m: NDArray[np.float64], quaternion: NDArray[np.float64]) -> Pose:
+    """Return the pose, NED, of a position (3,) and a quaternion (4,) as MuJoCo has them."""
+    x, y, z = mujoco_to_ned(position_m).tolist()
+    w, i, j, k = quaternion_mujoco_to_ned(quaternion).tolist()
+    return Pose((x, y, z), (w, i, j, k))
 
 
 def multiply(a: Quaternion, b: Quaternion) -> Quaternion:

@@ -162,8 +162,8 @@ def greet(server: Server, options: ServeOptions, settings: Settings) -> None:
     say(f"{state}; the clock runs and API control is off, as in AirSim; Ctrl-C stops")
     if not is_loopback(host):
         say(f"warning: whoever reaches {host}:{port} may fly the drone; AirSim's protocol has no password")
-    if without_effect := settings.without_effect():
-        say(f"{options.settings}: without effect here: {', '.join(without_effect)}")
+    if warning := settings.warning(options.settings):
+        say(warning)
 
 
 @contextmanager

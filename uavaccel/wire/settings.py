@@ -179,6 +179,11 @@ class Settings(AirSimKeys):
         """Return the dotted names of the given keys that have no effect here."""
         return [name for name in _unknown(self, "") if name not in _NOTES]
 
+    def warning(self, path: Path | None) -> str:
+        """Say in a line, which begins with their file, which given keys have no effect; nothing if all have one."""
+        names = self.without_effect()
+        return f"{path}: without effect here: {', '.join(names)}" if names else ""
+
     def as_json(self, clock_speed: float) -> str:
         """Return the answer of getSettingsString: the given settings, with the ClockSpeed that is in effect."""
         given = self.model_dump(mode="json", by_alias=True, exclude_unset=True)

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from uavaccel.errors import UserError
 from uavaccel.sim.lane import APPEARANCE_GROUP, BODIES_GROUP
-from uavaccel.sim.poses import Pose
+from uavaccel.sim.poses import Pose, from_mujoco
 from uavaccel.sim.scene import DRONE_GROUP
-from uavaccel.units import mujoco_to_ned, ned_to_mujoco, quaternion_mujoco_to_ned
+from uavaccel.units import ned_to_mujoco
 
 Image = NDArray[np.uint8]
 DepthImage = NDArray[np.float32]
@@ -106,9 +106,7 @@ class View:
 def vehicle_pose(data: mujoco.MjData, vehicle: int = 0) -> Pose:
     """Return the pose, NED, of vehicle number `vehicle` in `data.qpos`."""
     place, attitude = np.split(data.qpos[7 * vehicle : 7 * vehicle + 7], [3])
-    x, y, z = mujoco_to_ned(place).tolist()
-    w, i, j, k = quaternion_mujoco_to_ned(attitude).tolist()
-    return Pose((x, y, z), (w, i, j, k))
+    return from_mujoco(place, attitude)
 
 
 def own_fov_deg(model: mujoco.MjModel, camera: int) -> float:
