@@ -35,6 +35,20 @@ def object_names(model: mujoco.MjModel, geoms: NDArray[np.int32]) -> list[str]:
     return sorted({object_name(model, int(geom)) for geom in np.unique(geoms) if geom >= 0})
 
 
+def assert_bounded(model: mujoco.MjModel) -> None:
+    """MuJoCo looks for contacts and rays only within its bounds of shapes: none is too small, nor twice as large."""
+    kinds, size = model.geom_type, model.geom_size
+    sphere, capsule, ellipsoid, cylinder, box = (kinds == kind for kind in (2, 3, 4, 5, 6))
+    across = np.where(ellipsoid | box, size[:, 1], size[:, 0])
+    up = np.select([sphere, capsule, cylinder], [size[:, 0], size[:, 0] + size[:, 1], size[:, 1]], size[:, 2])
+    half, known = np.stack([size[:, 0], across, up], axis=1), sphere | capsule | ellipsoid | cylinder | box
+    rim = np.hypot(up, np.where(box, np.hypot(size[:, 0], across), size[:, 0]))
+    reach = np.where(box | cylinder, rim, half.max(axis=1))[known]
+    np.testing.assert_allclose(model.geom_aabb[known], np.hstack([0 * half, half])[known])
+    assert (model.geom_rbound[known] >= reach * (1 - 1e-9)).all()
+    assert (model.geom_rbound[known] < 2 * reach).all()
+
+
 class Pose(NamedTuple):
     """NED metres, and roll, pitch and yaw in degrees."""
 

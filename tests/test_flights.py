@@ -19,6 +19,7 @@ import numpy as np
 import pytest
 
 from tests.flying import FOR_EVER, STRAIGHT, point, pose
+from tests.scenes import assert_bounded
 from uavaccel.errors import UserError
 from uavaccel.sim.profile import PROFILES
 from uavaccel.sim.simulation import DeferredReply, Pilot, Simulation
@@ -67,7 +68,8 @@ class Flight(dict[str, Any]):
         self.api = Api(self.simulation, read, render=False, say=self.said.append)
         for pilot in self.simulation.pilots:
             pilot.api_control = True
-        self.show, self.pending, self.told = show.split(), list[tuple[str, DeferredReply]](), dict[str, str]()
+        self.show, self.begun_ns = show.split(), 0
+        self.pending, self.told = list[tuple[str, DeferredReply]](), dict[str, str]()
 
     def __missing__(self, method: str) -> Any:
         return lambda *params: self.api.call(method, list(params), self.simulation.wall_ns)
@@ -97,13 +99,28 @@ class Flight(dict[str, Any]):
                 answer = reply.encode(reply.value)
             else:
                 self.pending.append((line[2:].partition("(")[0], reply))
+        assert_bounded(self.simulation.world.model)
         due = [(name, reply) for name, reply in self.pending if reply.due_wall_ns is not None]
         self.pending = [each for each in self.pending if each[1].due_wall_ns is None]
-        replies = [f"{name}: {plain(reply.encode(reply.value))} at {ms(reply.due_wall_ns)}" for name, reply in due]
-        clock = f"{ms(self.simulation.wall_ns)} ms, tick {self.simulation.world.tick}"
+        replies = [f"{name}: {plain(reply.encode(reply.value))} at {self._ms(reply.due_wall_ns)}" for name, reply in due]
+        clock = f"{self._ms(self.simulation.wall_ns)} ms, tick {self.simulation.world.tick}"
         state = [clock + ", paused" * self.simulation.paused, *filter(None, map(self._changed, self.simulation.pilots))]
         said, self.said[:] = [f"said: {text}" for text in self.said], []
         return "; ".join([plain(answer), *said, *replies, *state, *filter(None, [self.simulation.failure])])
+
+    def _ms(self, wall_ns: int | None) -> str:
+        return ms((wall_ns or 0) - self.begun_ns)
+
+    def begin_anew(self) -> None:
+        """Reset, at a whole second of which the times of this flight are counted."""
+        self.simulation.run(self.simulation.wall_ns)
+        self.begun_ns = -(-self.simulation.wall_ns // 10**9) * 10**9
+        self.simulation.advance_to(self.begun_ns)
+        self.api.call("reset", [], self.begun_ns)
+        for part in (self.pending, self.told, self.said):
+            part.clear()
+        for pilot in self.simulation.pilots:
+            pilot.api_control = True
 
     def _changed(self, pilot: Pilot) -> str:
         vehicle, state, now = pilot.vehicle, pilot.vehicle.state, pilot.kinematics()
@@ -157,7 +174,23 @@ def assert_scenario_as_recorded(file: Path, scenario: Scenario, do: Callable[[st
 FLIGHTS = {scenario.heading: (file, scenario) for file in sorted(FOLDER.glob("*.txt")) for scenario in scenarios(file)}
 
 
+# what outlasts a reset, and simulated times, which go on
+LASTING = re.compile(r"simSpawn|simDestroy|simSet(?!Veh|Kin)|simAdd|set\w+Gains|Recording|uavaccel(?!Cont)|Detection")
+TIMES = re.compile(r"(?:(?:stamp|utc) |(?:^|ContinueFor: )\[)\d+")
+
+
 @pytest.mark.parametrize("heading", FLIGHTS)
 def test_a_flight_is_as_recorded(heading: str) -> None:
-    file, scenario = FLIGHTS[heading]
-    assert_scenario_as_recorded(file, scenario, Flight(**scenario.options).do)
+    """And the same after a reset, which leaves nothing of it."""
+    (file, scenario), told = FLIGHTS[heading], list[str]()
+    flight = Flight(**scenario.options)
+
+    def do(line: str) -> str:
+        told.append(flight.do(line))
+        return told[-1]
+
+    assert_scenario_as_recorded(file, scenario, do)
+    if not LASTING.search(" ".join(scenario.calls)):
+        flight.begin_anew()
+        again = [flight.do(line) for line in scenario.calls]
+        assert [TIMES.sub("", text) for text in again] == [TIMES.sub("", text) for text in told]

@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from tests.lanes import collision_object, free_distance_m
-from tests.scenes import COLUMNS, ROWS, Pose, Scene, cast_rays, object_names
+from tests.scenes import COLUMNS, ROWS, Pose, Scene, assert_bounded, cast_rays, object_names
 from uavaccel.errors import UserError
 from uavaccel.resources import asset
 from uavaccel.sim.lane import (
@@ -125,6 +125,7 @@ def test_a_lane_is_as_in_a_new_world_whatever_was_flown_there() -> None:
             world.lead.set_goal(Goal((3.0, 0.0, 0.0, 0.3), VELOCITY, VELOCITY, RATE))
             world.advance(50)
         np.testing.assert_equal(arrays_of(used.model), arrays_of(new.model))
+        assert_bounded(used.model)
         assert used.lead.parameters == new.lead.parameters
         assert used.lead.kinematics() == new.lead.kinematics()
 

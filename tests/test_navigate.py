@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import uavaccel.envs  # noqa: F401 - registers
+from tests.scenes import assert_bounded
 from tests.test_still_scenes import HULL, cast_all, touch_all
 from uavaccel.envs.kernel_batch import KernelBatch
 from uavaccel.envs.kernel_games import GameMaker
@@ -60,6 +61,7 @@ def test_mujoco_has_the_shapes_where_the_layout_has_them() -> None:
     world, made = World("clutter", PROFILES["native"]), sample_world(3, Clutter(), GOAL_M)
     world.set_clutter(sample_world(4, Clutter(shapes=200), GOAL_M))  # of which nothing is left
     world.set_clutter(made)
+    assert_bounded(world.model)
     gone = [world.model.geom(f"clutter_{number:03}") for number in range(len(made), 256)]
     assert {(float(geom.pos[2]), float(geom.rgba[3])) for geom in gone} == {(at.PARKED_Z_M, 0.0)}
     for name, row in zip(range(len(made)), made.rows, strict=True):
@@ -67,7 +69,7 @@ def test_mujoco_has_the_shapes_where_the_layout_has_them() -> None:
         assert np.allclose(geom.xmat.reshape(3, 3)[:2, 0], row[[at.COS, at.SIN]], atol=1e-12)
         assert (geom.xpos == row[at.X : at.Z + 1]).all()
         radii = row[[at.HALF_X] * 3] if row[at.KIND] == at.CAPSULE else row[at.HALF_X : at.HALF_Z + 1]
-        assert world.model.geom_aabb[geom.id].tolist() == [0.0, 0.0, 0.0, *radii]
+        np.testing.assert_allclose(world.model.geom_aabb[geom.id, 3:], radii)
     games = GameMaker(NavigateTask()).rows(1)
     put_clutter(made.rows, games.solids, games.scenes, 0)
     standing = np.flatnonzero(made.standing)
