@@ -29,30 +29,39 @@ GOAL_M = (30.0, 5.0, -2.0)
 def test_a_world_is_a_function_of_its_seed() -> None:
     once, again, other = (sample_world(seed, Clutter(), GOAL_M).rows for seed in (3, 3, 4))
     assert once.tobytes() == again.tobytes() != other.tobytes()
-    drawn = np.random.default_rng(3).random((len(once), 9))
-    assert (once[:, at.X] == -4.0 + 48.0 * drawn[:, 1]).all()
     assert (at.BOX, at.CYLINDER) == (fields.BOX, fields.CYLINDER)
     assert reset_options("uavaccel/Navigate-v0", 3) == {"world": 3}, "which an evaluation flies as its game 3"
 
 
-@pytest.mark.parametrize("seed", range(5))
-def test_start_and_goal_are_clear(seed: int) -> None:
-    clutter = Clutter(shapes=256, half_m=(0.5, 3.0), clear_start_m=4.0, clear_goal_m=3.0)
-    made = sample_world(seed, clutter, GOAL_M)
-    assert 0 < made.standing.sum() < 256
-    around = np.linspace(0.0, 2 * np.pi, 60)
-    for place, clear_m in (((0.0, 0.0), 4.0), ((30.0, -5.0), 3.0)):
-        for radius_m in (0.0, clear_m / 2, 0.999 * clear_m):
-            for x, y in zip(place[0] + radius_m * np.cos(around), place[1] + radius_m * np.sin(around), strict=True):
-                assert not inside(made.rows[made.standing], x, y).any()
-
-
-def inside(rows: np.ndarray, x: float, y: float) -> np.ndarray:
-    right, up = x - rows[:, at.X], y - rows[:, at.Y]
-    along = (rows[:, at.COS] * right + rows[:, at.SIN] * up) / rows[:, at.HALF_X]
-    across = (rows[:, at.COS] * up - rows[:, at.SIN] * right) / rows[:, at.HALF_Y]
-    box = rows[:, at.KIND] == at.BOX
-    return np.where(box, np.maximum(abs(along), abs(across)) < 1, along**2 + across**2 < 1)
+@pytest.mark.parametrize("gap_m", [0.0, 1.5])
+def test_a_shape_is_nine_numbers_and_stands_where_there_is_room(gap_m: float) -> None:
+    """Each key of the distribution by its own share of NumPy's numbers; start, goal and gaps are kept clear."""
+    shares = {"boxes": 0.8, "cylinders": 0.6, "ellipsoids": 0.4, "spheres": 0.2}
+    keys: dict[str, Any] = {"half_m": (0.3, 1.2), "clear_start_m": 5.0, "clear_goal_m": 3.0, "gap_m": gap_m}
+    made = sample_world(3, Clutter(shapes=200, **keys, **shares), GOAL_M)
+    share, x, y, *halves, z, turn, grey = np.random.default_rng(3).random((200, 9)).T
+    kind = np.array(["box", "cylinder", "ellipsoid", "sphere"])[np.searchsorted([0.4, 0.7, 0.9], share, "right")]
+    box, pillar, round_ = kind == "box", np.isin(kind, ["box", "cylinder"]), np.isin(kind, ["cylinder", "sphere"])
+    half_x, half_y, half_z = (0.3 + 0.9 * half for half in halves)
+    half_y, x, y = np.where(round_, half_x, half_y), -4.0 + 48.0 * x, -24.0 + 48.0 * y
+    half_z = np.select([pillar, kind == "sphere"], [5.0, 0.0], half_z)
+    yaw = np.where(round_, 0.0, 2.0 * np.arctan(np.tan(np.pi / 8) * (2.0 * turn - 1.0)))
+    stands = np.ones(200, bool)
+    for north, west, clear_m in ((0.0, 0.0, 5.0), (30.0, -5.0, 3.0)):
+        right, up = north - x, west - y
+        along, across = abs(np.cos(yaw) * right + np.sin(yaw) * up), abs(np.cos(yaw) * up - np.sin(yaw) * right)
+        from_box = np.hypot(np.maximum(along - half_x, 0.0), np.maximum(across - half_y, 0.0))
+        stands &= np.where(box, from_box, np.hypot(along, across) - np.maximum(half_x, half_y)) >= clear_m
+    reach = np.where(box, np.hypot(half_x, half_y), np.maximum(half_x, half_y))
+    for later in range(200 if gap_m else 0):
+        before = np.flatnonzero(stands[:later])
+        room = np.hypot(x[later] - x[before], y[later] - y[before]) - reach[later] - reach[before]
+        stands[later] &= not (room < gap_m).any()
+    height = np.where(stands, np.where(pillar, 5.0, 0.5 + 4.5 * z), at.PARKED_Z_M)
+    expected = [x, y, height, half_x, half_y, half_z, np.cos(yaw), np.sin(yaw), 0.25 + 0.7 * grey]
+    assert made.names() == kind.tolist()
+    np.testing.assert_allclose(made.rows[:, at.X :], np.stack(expected, axis=1), atol=1e-12)
+    assert 0 < stands.sum() == made.standing.sum() < 200
 
 
 def test_mujoco_has_the_shapes_where_the_layout_has_them() -> None:
