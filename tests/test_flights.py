@@ -104,7 +104,8 @@ class Flight(dict[str, Any]):
         self.pending = [each for each in self.pending if each[1].due_wall_ns is None]
         replies = [f"{name}: {plain(reply.encode(reply.value))} at {self._ms(reply.due_wall_ns)}" for name, reply in due]
         clock = f"{self._ms(self.simulation.wall_ns)} ms, tick {self.simulation.world.tick}"
-        state = [clock + ", paused" * self.simulation.paused, *filter(None, map(self._changed, self.simulation.pilots))]
+        pilots = [pilot for pilot in self.simulation.pilots if pilot.vehicle.name != "Other"]
+        state = [clock + ", paused" * self.simulation.paused, *filter(None, map(self._changed, pilots))]
         said, self.said[:] = [f"said: {text}" for text in self.said], []
         return "; ".join([plain(answer), *said, *replies, *state, *filter(None, [self.simulation.failure])])
 
@@ -112,10 +113,12 @@ class Flight(dict[str, Any]):
         return ms((wall_ns or 0) - self.begun_ns)
 
     def begin_anew(self) -> None:
-        """Reset, at a whole second of which the times of this flight are counted."""
+        """Reset, at a whole second from which times are counted now; a vehicle alone gets company far away."""
         self.simulation.run(self.simulation.wall_ns)
         self.begun_ns = -(-self.simulation.wall_ns // 10**9) * 10**9
         self.simulation.advance_to(self.begun_ns)
+        if len(self.simulation.pilots) == 1 and not self.simulation.world.still:
+            self.api.call("simAddVehicle", ["Other", "SimpleFlight", pose(-80, -80, 0)], self.begun_ns)
         self.api.call("reset", [], self.begun_ns)
         for part in (self.pending, self.told, self.said):
             part.clear()
