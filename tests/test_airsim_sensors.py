@@ -282,7 +282,8 @@ def test_wind_acts_at_the_next_tick_as_in_airsims_physics() -> None:
         assert now.position_m[0] == pytest.approx(way, rel=1e-4, abs=1e-12)
 
 
-def test_what_has_no_effect_and_what_is_refused_is_said_once() -> None:
+@pytest.mark.parametrize("server", ["one", "another"])
+def test_what_has_no_effect_and_what_is_refused_is_said_once(server: str) -> None:
     wire = AirSimWire()
     accepted = [name for name, call in CALLS.items() if call.status == "accepted"]
     assert len(accepted) == 16

@@ -100,9 +100,9 @@ class Flight(dict[str, Any]):
             else:
                 self.pending.append((line[2:].partition("(")[0], reply))
         assert_bounded(self.simulation.world.model)
-        due = [(name, reply) for name, reply in self.pending if reply.due_wall_ns is not None]
+        due = [each for each in self.pending if each[1].due_wall_ns is not None]
         self.pending = [each for each in self.pending if each[1].due_wall_ns is None]
-        replies = [f"{name}: {plain(reply.encode(reply.value))} at {self._ms(reply.due_wall_ns)}" for name, reply in due]
+        replies = [f"{name}: {plain(one.encode(one.value))} at {self._ms(one.due_wall_ns)}" for name, one in due]
         clock = f"{self._ms(self.simulation.wall_ns)} ms, tick {self.simulation.world.tick}"
         pilots = [pilot for pilot in self.simulation.pilots if pilot.vehicle.name != "Other"]
         state = [clock + ", paused" * self.simulation.paused, *filter(None, map(self._changed, pilots))]

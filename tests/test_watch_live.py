@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import os
+import socket
 import threading
 from collections.abc import Iterator
 from pathlib import Path
@@ -16,6 +18,7 @@ from tests.flying import STRAIGHT, call, go_on, hovering, point, pose
 from tests.learning import tiny_config
 from tests.running import configured, fly_into
 from uavaccel.cli.experiments import run_experiment
+from uavaccel.clock import VirtualClock
 from uavaccel.commands import COMMANDS, VelocityGoal
 from uavaccel.envs.obstacle_lane import ObstacleLane
 from uavaccel.errors import UsageError
@@ -33,6 +36,7 @@ from uavaccel.watch import beside
 from uavaccel.watch.beside import page_beside
 from uavaccel.watch.page import Moment
 from uavaccel.watch.sources import Live, Told
+from uavaccel.wire import broadcast
 from uavaccel.wire.api import Api
 from uavaccel.wire.broadcast import FREE, PAGE, REFRESH_NS, Broadcast, heading, show_on_page
 from uavaccel.wire.session import open_session
@@ -208,6 +212,54 @@ def test_a_scene_for_which_a_busy_page_has_no_room_leaves_no_file_and_is_told_la
     for seen in (False, True):
         feed.update(0.0, seen=seen)
     assert feed.scene is not None
+
+
+def test_a_page_is_told_as_often_as_it_looks_and_of_each_reset(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """By flight and ms; orders are heard after a message, whose pauses are of the machine's time."""
+    clock, world = VirtualClock(), World("blocks", NATIVE)
+    monkeypatch.setattr(broadcast, "MonotonicClock", lambda: clock)
+    monkeypatch.setenv(PAGE, str(tmp_path / "page"))
+    with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as listening:
+        listening.bind(str(tmp_path / "page"))
+        listening.listen()
+        simulation = Simulation(world, 20.0)
+        show_on_page(simulation, may_pause=False)
+        page, _ = listening.accept()
+    page.setblocking(False)
+
+    def told(ticks: int, machine_ms: float, **orders: Any) -> list[Any]:
+        if orders:
+            page.send(json.dumps({**FREE, **orders}).encode())
+        found: list[Any] = []
+        for tick in range(world.tick + 16, world.tick + ticks + 1, 16):
+            clock.charge(round(machine_ms * 1e6))
+            simulation.advance_to(simulation.pacer.wall_due(tick))
+            with contextlib.suppress(BlockingIOError):
+                while message := json.loads(page.recv(1 << 20)):
+                    state = message.get("state")
+                    found.append((state["flight"], state["time_ns"] // 10**6) if state else "scene")
+        return found
+
+    every = int(20.0 * broadcast.MEASURED_NS / REFRESH_NS) * 16
+    assert told(every - 16, 500.0) == ["scene"]
+    assert told(16, 500.0) == [(1, every * 2)]
+    assert told(2 * every, 30.0) == [(1, every * 6)], "200 ms where nobody looks"
+    assert told(2 * every, 0.5, seen=True) == [], "the order is not heard yet"
+    assert told(every, 40.0) == [(1, every * 12)]
+    assert told(2 * every, 1.0) == [(1, every * 14), (1, every * 16)]
+    simulation.reset(simulation.wall_ns)
+    assert told(every, 1.0) == [(2, every * 2)]
+    simulation.reset(simulation.wall_ns)
+    assert told(every, 1.0) == [(3, every * 2)], "at the tick of the last message too"
+    world.surroundings_changed()
+    assert told(every, 1.0) == ["scene", (3, every * 4)]
+    world.surroundings_changed()
+    assert told(every, 1.0) == [(3, every * 6)], "200 ms between two scenes"
+    assert told(every, 40.0) == ["scene", (3, every * 8)]
+    page.close()
+    clock.charge(40_000_000)
+    simulation.advance_to(simulation.pacer.wall_due(world.tick + every))
+    assert not world._observers
 
 
 @pytest.mark.wall_clock
