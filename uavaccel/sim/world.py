@@ -121,12 +121,11 @@ class World:
         """
         if layout.scenery != self.scenery:
             scene_path(self.scene, layout.scenery)  # raises UserError before anything changes
-            physics, motion = physics_state(self.model, self.data), self.lead.motion()
+            physics = physics_state(self.model, self.data)
             self.close()
             self.scenery = layout.scenery
             self._adopt(*self._build(self.vehicles))
             restore_physics(self.model, self.data, physics)
-            self.lead.fly_on(motion)
         apply_layout(self.model, self.data, layout)
         self.lane = layout
         self.surroundings_changed()
