@@ -15,6 +15,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import msgpack
 import numpy as np
 import pytest
 
@@ -25,8 +26,8 @@ from uavaccel.sim.profile import PROFILES
 from uavaccel.sim.simulation import DeferredReply, Pilot, Simulation
 from uavaccel.sim.world import World
 from uavaccel.units import euler_from_quaternion
+from uavaccel.wire import rpc
 from uavaccel.wire.api import Api
-from uavaccel.wire.rpc import RpcError
 from uavaccel.wire.settings import Settings
 
 DEGREES = ("latitude", "longitude")
@@ -72,7 +73,11 @@ class Flight(dict[str, Any]):
         self.pending, self.told = list[tuple[str, DeferredReply]](), dict[str, str]()
 
     def __missing__(self, method: str) -> Any:
-        return lambda *params: self.api.call(method, list(params), self.simulation.wall_ns)
+        def call(*params: Any) -> Any:
+            request = rpc.unpack_request(rpc.pack_request(1, method, params))
+            return self.api.call(request.method, request.params, self.simulation.wall_ns)
+
+        return call
 
     def go(self, seconds: float) -> None:
         self.simulation.advance_to(self.simulation.wall_ns + round(seconds * 1e9))
@@ -87,22 +92,24 @@ class Flight(dict[str, Any]):
         """Make a call, and say what came of it."""
         try:
             answer = eval(line[2:], {"__builtins__": {}}, self)
-        except (RpcError, UserError) as error:
+        except (rpc.RpcError, UserError) as error:
             answer = f"refused: {error}"
-        if isinstance(answer, DeferredReply):
+        if not isinstance(answer, DeferredReply):
+            answer = received(answer)
+        else:
             reply, answer = answer, "later"
             while line[0] == ">" and reply.due_wall_ns is None:
                 due_ns = self.simulation.next_event_wall_ns()
                 assert due_ns is not None, "nothing will ever end"
                 self.simulation.advance_to(due_ns)
             if line[0] == ">":
-                answer = reply.encode(reply.value)
+                answer = received(reply)
             else:
                 self.pending.append((line[2:].partition("(")[0], reply))
         assert_bounded(self.simulation.world.model)
         due = [each for each in self.pending if each[1].due_wall_ns is not None]
         self.pending = [each for each in self.pending if each[1].due_wall_ns is None]
-        replies = [f"{name}: {plain(one.encode(one.value))} at {self._ms(one.due_wall_ns)}" for name, one in due]
+        replies = [f"{name}: {plain(received(one))} at {self._ms(one.due_wall_ns)}" for name, one in due]
         clock = f"{self._ms(self.simulation.wall_ns)} ms, tick {self.simulation.world.tick}"
         pilots = [pilot for pilot in self.simulation.pilots if pilot.vehicle.name != "Other"]
         state = [clock + ", paused" * self.simulation.paused, *filter(None, map(self._changed, pilots))]
@@ -141,6 +148,12 @@ class Flight(dict[str, Any]):
         ])  # fmt: skip
         changed, self.told[vehicle.name] = self.told.get(vehicle.name) != told, told
         return told if changed else ""
+
+
+def received(reply: Any) -> Any:
+    """What a client is answered."""
+    answer = reply.encode(reply.value) if isinstance(reply, DeferredReply) else reply
+    return msgpack.unpackb(rpc.pack_response(1, None, answer))[3]
 
 
 def ms(wall_ns: int | None) -> str:
