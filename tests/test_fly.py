@@ -1,7 +1,6 @@
 """Scripts on a simulated clock: exact, repeatable, and without a way to fail in silence."""
 
 import contextlib
-import datetime
 import hashlib
 import json
 import random
@@ -22,7 +21,7 @@ from tests.scripts import Folder
 from uavaccel.airsim import MultirotorClient
 from uavaccel.airsim.types import LandedState
 from uavaccel.cli.main import main
-from uavaccel.clock import datetime_module, time_module
+from uavaccel.clock import time_module
 from uavaccel.errors import UserError
 from uavaccel.files import UNFINISHED
 from uavaccel.fly import command, simulated, wall
@@ -41,7 +40,7 @@ from uavaccel.fly.log import (
 from uavaccel.fly.modules import client_modules, importing
 from uavaccel.fly.options import SUMMARY, FlightOptions
 from uavaccel.fly.script import FlightOver, run_script
-from uavaccel.fly.simulated import FREE_CALLS, READING_NS, SimulatedFlight
+from uavaccel.fly.simulated import FREE_CALLS, SimulatedFlight
 from uavaccel.kinematics import Kinematics
 from uavaccel.units import NS_PER_S
 from uavaccel.wire.rpc import RpcError
@@ -267,19 +266,6 @@ def test_the_end_keeps_a_recording_and_refuses_what_comes_after(
     with pytest.raises(FlightOver):
         client.ping()
     assert flight._log.calls == calls
-
-
-def test_the_scripts_clock_starts_at_a_date_and_moves_by_reading(flight_in: FlightMaker, tmp_path: Path) -> None:
-    flight = flight_in(tmp_path)
-    time = time_module(flight.epoch_now_ns, flight.pass_time)
-    assert time.time_ns() == EPOCH_NS + READING_NS
-    assert time.monotonic_ns() == EPOCH_NS + 2 * READING_NS
-    time.sleep(90)
-    assert time.strftime("%M:%S", time.gmtime()) == "01:30"
-    present = datetime_module(flight.epoch_now_ns).datetime
-    now = present.now(datetime.UTC)
-    assert (now.isoformat()[:19], now.tzinfo) == ("2020-01-01T00:01:30", datetime.UTC)
-    assert present.utcnow() - present(2020, 1, 1) > datetime.timedelta(seconds=90)
 
 
 def test_loops_that_poll_come_to_an_end(flight_in: FlightMaker, tmp_path: Path) -> None:

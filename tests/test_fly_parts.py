@@ -27,7 +27,7 @@ from uavaccel.fly.keys import Hooks, Keyboard
 from uavaccel.fly.log import MESSAGES, DifferenceError, MessageLog
 from uavaccel.fly.modules import Patches, named_module, of_a_script
 from uavaccel.fly.options import SUMMARY, FlightOptions
-from uavaccel.fly.script import FlightOver, ScriptResult, run_script
+from uavaccel.fly.script import FlightOver, ScriptResult, run_script, unraisable
 from uavaccel.wire.rpc import Future, RpcError
 
 # --- the process -----------------------------------------------------------------------------------------------------
@@ -233,6 +233,19 @@ def test_a_script_runs_as_python_runs_it(
     assert result[:2] == (status, True)
     assert (sys.path[0], sys.argv) == (str(tmp_path), [str(script), "a", "b c"])
     assert (outlived, capsys.readouterr().err) == ([True], said)
+
+
+@pytest.mark.parametrize("error", [FlightOver, ValueError])
+def test_what_a_destructor_raises_is_told_but_for_the_end_of_the_flight(
+    error: type[BaseException], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    class Last:
+        def __del__(self) -> None:
+            raise error
+
+    monkeypatch.setattr(sys, "unraisablehook", unraisable)
+    Last()
+    assert ("ValueError" in capsys.readouterr().err) == (error is ValueError)
 
 
 # --- a server of its own ---------------------------------------------------------------------------------------------
