@@ -87,10 +87,14 @@ def test_a_vehicles_sensors_stand_beside_the_defaults_of_other_kinds() -> None:
         wire.call("getGpsData", "", "")
 
 
-@pytest.mark.parametrize("method", ["getImuData", "getBarometerData", "getMagnetometerData"])
+@pytest.mark.parametrize(
+    "method", [f"get{kind}Data" for kind in ("Imu", "Barometer", "Magnetometer", "DistanceSensor")]
+)
 def test_noise_depends_on_tick_and_seed_alone(method: str) -> None:
+    down = {"Sensors": {"Down": {"SensorType": 5, "Pitch": -90}}}
+
     def after_a_second(seed: int = 0, asking_before: bool = False) -> AirSimWire:
-        wire = AirSimWire({"SensorSeed": seed})
+        wire = AirSimWire({"SensorSeed": seed, "Vehicles": {"Drone": down}})
         for _ in range(10):
             wire.fly(0.1)
             if asking_before:

@@ -9,6 +9,7 @@ import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -65,6 +66,37 @@ def test_one_whose_parent_was_killed_before_ends_at_once() -> None:
         command = [sys.executable, "-c", CHILD, str(started_by)]
         done = subprocess.run(command, stdout=subprocess.PIPE, check=False, timeout=60)
         assert (done.returncode, done.stdout) == (-signal.SIGKILL, b"")
+
+
+@pytest.mark.parametrize(
+    ("program", "seconds", "status"),
+    [("", 60.0, 0), ("import signal; signal.pause()", 0.01, -9), ("import os; os.kill(os.getpid(), 19)", 60.0, -9)],
+    ids=["ends", "waits", "stopped"],
+)
+def test_who_does_not_end_in_time_is_killed_and_one_that_is_stopped_at_once(
+    program: str, seconds: float, status: int
+) -> None:
+    with lifetime.start_python("-c", program) as process:
+        while status and seconds == 60.0 and state_of(process.pid) != "T":
+            pass
+        lifetime.end_within(process, seconds)
+        assert process.returncode == status
+
+
+def test_what_ended_processes_have_left_is_removed_and_nothing_else(tmp_path: Path) -> None:
+    with subprocess.Popen([sys.executable, "-c", ""]) as gone:
+        pass
+    for pid in (gone.pid, os.getpid(), 1):
+        (tmp_path / f"joblib_memmapping_folder_{pid}_a" / "inner").mkdir(parents=True)
+        (tmp_path / f"sem.loky-{pid}-b").touch()
+        (tmp_path / f"sem.own-{pid}-c").touch()
+    kept = {path.name for path in tmp_path.iterdir()} - {
+        f"joblib_memmapping_folder_{gone.pid}_a",
+        f"sem.loky-{gone.pid}-b",
+    }
+    lifetime.remove_orphaned_files(tmp_path)
+    assert {path.name for path in tmp_path.iterdir()} == kept
+    lifetime.remove_orphaned_files(tmp_path / "none")
 
 
 GUARDED = """
@@ -220,6 +252,7 @@ def test_patience_is_over_after_four_seconds_without_a_break(
         (["S", "S", 3], "the server ended with status 3"),
         (["S", 0], "the server ended with status 0"),
         (["T", "S", -9], "the server was ended by SIGKILL"),
+        (["S", -99], "the server was ended by signal 99"),
         (["S", *"T" * 17], "the server was stopped"),
     ],
 )

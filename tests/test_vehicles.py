@@ -21,7 +21,6 @@ from uavaccel.wire.image_api import decode_image
 from uavaccel.wire.settings import Settings
 
 ASIDE = {"X": 5, "Y": 5}
-MANY = 20
 
 
 def made(profile: Profile = NATIVE, render: bool = False, airsim: bool = False, **settings: Any) -> Api:
@@ -196,22 +195,3 @@ def test_of_several_at_once_one_that_is_too_near_is_refused_with_all() -> None:
         with pytest.raises(UserError, match=r"Near would start less than 0\.75 m from (Second|Far)"):
             api.simulation.add_vehicles([far, AddedVehicle("Near", Start(near))])
     assert len(api.simulation.pilots) == len(api.simulation.world.vehicles) == 2
-
-
-def test_many_fly_and_the_last_command_wins() -> None:
-    simulation = Simulation(World("blocks", NATIVE))
-    places = [(-20.0 + 3 * (index % 10), -15.0 + 3 * (index // 10), -15.0) for index in range(1, MANY)]
-    simulation.add_vehicles([AddedVehicle(f"V{index}", Start(place_m)) for index, place_m in enumerate(places)])
-    api = Api(simulation, render=False)
-    names = [vehicle.name for vehicle in simulation.world.vehicles]
-    replies: dict[str, list[Any]] = {name: [] for name in names}
-    for name in names:
-        call(api, "enableApiControl", True, name)
-    for turn in range(3):
-        for index, name in enumerate(names):
-            replies[name].append(call(api, "moveByVelocityZ", 0.0, 0.0, -16.0 - index % 3, 9.0, 0, STRAIGHT, name))
-        go_on(api, 0.5 + turn)
-    go_on(api, 9.0)
-    assert all([reply.value for reply in replies[name]] == [False, False, True] for name in names)
-    heights = [place(api, name)[2] for name in names]
-    np.testing.assert_allclose(heights, [-16.0 - index % 3 for index in range(MANY)], atol=0.2)
