@@ -192,20 +192,13 @@ def test_a_turn_arrives_within_its_margin_and_at_rest(
     assert task.turn(now, 2.0).result is bool(result)
 
 
-def test_without_api_control_sticks_fly_forwards_and_to_the_right() -> None:
+def test_sticks_are_goals_where_no_program_has_control() -> None:
     """By angles of up to pi / 5.5 or, with the switch, by rates as large; a throttle below idle idles."""
     for switches, mode in ((0, autopilot.TILT), (1, autopilot.TILT_RATE)):
         goal = stick_goal(np.array([0.5, 0.25, 0.0, -0.5, switches, 1.0]))
         tilts = (0.5 * math.pi / 5.5, -0.25 * math.pi / 5.5)
         assert goal.values == pytest.approx((*tilts, 0.1 / 1.5, -0.5 * math.pi))
         assert (goal.xy_mode, goal.z_mode, goal.yaw_mode) == (mode, autopilot.THROTTLE, autopilot.RATE)
-    for stick, axis in (("pitch", 0), ("roll", 1)):
-        api = hovering()
-        call(api, "enableApiControl", False)
-        call(api, "moveByRC", {stick: 0.3, "throttle": 0.6, "is_valid": True})
-        go_on(api, 2.0)
-        assert place(api)[axis] > 1.0
-        assert abs(place(api)[1 - axis]) < 0.1
 
 
 def test_an_integral_gain_beats_wind_and_a_derivative_damps() -> None:

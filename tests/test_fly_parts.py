@@ -25,7 +25,7 @@ from uavaccel.fly import environment, process, simulated, wall
 from uavaccel.fly.environment import supply_windows
 from uavaccel.fly.keys import Hooks, Keyboard
 from uavaccel.fly.log import MESSAGES, DifferenceError, MessageLog
-from uavaccel.fly.modules import Patches, named_module, of_a_script
+from uavaccel.fly.modules import Patches, importing, named_module, of_a_script
 from uavaccel.fly.options import SUMMARY, FlightOptions
 from uavaccel.fly.script import FlightOver, ScriptResult, run_script, unraisable
 from uavaccel.wire.rpc import Future, RpcError
@@ -405,6 +405,15 @@ def test_a_module_is_changed_on_import_or_at_once(tmp_path: Path, monkeypatch: p
         assert imported_later.value == 1
         assert changed[1:] == ["imported_later: 1"] * 2
     sys.modules.pop("imported_later")
+
+
+def test_a_script_is_given_what_stands_in_for_a_library_and_not_for_its_own_module() -> None:
+    own, stand_in = {"__file__": "script.py", "__package__": "json"}, ModuleType("decoder")
+    with importing({}, {"decoder": stand_in}):
+        assert __import__("decoder", own) is stand_in
+        assert __import__("decoder", own, None, ("x",), 1).__name__ == "json.decoder", "from .decoder import x"
+        with pytest.raises(ImportError):
+            __import__("decoder", {"__file__": threading.__file__})
 
 
 def test_a_window_waits_in_milliseconds_and_a_hook_hears_of_every_key() -> None:

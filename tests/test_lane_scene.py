@@ -99,12 +99,6 @@ def test_every_obstacle_of_a_new_layout_is_hit_where_it_stands(lane_scene: Scene
         assert touched(lane_scene, x, y) == ""
 
 
-def test_a_layout_survives_the_reset_of_the_data(lane_scene: Scene) -> None:
-    apply_layout(*lane_scene, one_post(30.0, 1.0))
-    mujoco.mj_resetData(*lane_scene)
-    assert touched(lane_scene, 29.5, 1.0) == "obstacle_00"
-
-
 def test_clients_find_the_obstacles_of_a_layout_alone(lane_world: World) -> None:
     """Whatever stood there before."""
     for layout, found in ((sample_layout(1), 28), (one_post(30.0, 1.0), 1)):
