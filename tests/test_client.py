@@ -137,10 +137,11 @@ def test_a_recording_arrives_as_it_was_made() -> None:
     client, transport = new_client()
     client.move_async(NORTH, 0.5)
     client.continue_for(500 * MS)
+    transport._api.simulation.world.recorder.record["dropped"] = 3
     found, made = client.recording(), transport._api.simulation.recording()
     np.testing.assert_array_equal(found.samples, made.samples)
     np.testing.assert_array_equal(found.commands, [[0, 250]])
-    assert (found.tick_ns, found.dropped) == (made.tick_ns, made.dropped)
+    assert (found.tick_ns, found.dropped, found.commands_dropped) == (made.tick_ns, 3, 0)
     assert len(found.samples) == 11
 
 

@@ -120,9 +120,10 @@ def test_a_missing_or_wrong_opengl_is_told_in_a_line(monkeypatch: pytest.MonkeyP
         patch.setattr(sys, "platform", "linux")
         with pytest.raises(UserError, match=r"libegl1 libegl-mesa0 libgl1-mesa-dri, or libosmesa6 \(Debian\)$"):
             gl.make_context(8, 8)
-    monkeypatch.setenv("MUJOCO_GL", "off")
-    with pytest.raises(UserError, match="MUJOCO_GL=off switches images off"):
-        gl.choose_backend()
+    for word in ("off", " OFF", "Disabled", "disable", "false", "0"):
+        monkeypatch.setenv("MUJOCO_GL", word)
+        with pytest.raises(UserError, match=f"^MUJOCO_GL={word.lower().strip()} switches images off"):
+            gl.choose_backend()
     monkeypatch.setenv("MUJOCO_GL", "egl")
     monkeypatch.setitem(sys.modules, "mujoco.egl", None)
     with pytest.raises(UserError, match=r"does not work with MUJOCO_GL=egl .*install libegl1"):
