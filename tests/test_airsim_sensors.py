@@ -87,14 +87,12 @@ def test_a_vehicles_sensors_stand_beside_the_defaults_of_other_kinds() -> None:
         wire.call("getGpsData", "", "")
 
 
-@pytest.mark.parametrize(
-    "method", [f"get{kind}Data" for kind in ("Imu", "Barometer", "Magnetometer", "DistanceSensor")]
-)
-def test_noise_depends_on_tick_and_seed_alone(method: str) -> None:
-    down = {"Sensors": {"Down": {"SensorType": 5, "Pitch": -90}}}
+@pytest.mark.parametrize("kind", ["Imu", "Barometer", "Magnetometer", "DistanceSensor"])
+def test_noise_depends_on_tick_and_seed_alone(kind: str) -> None:
+    method, sensors = f"get{kind}Data", {str(number): {"SensorType": number} for number in (1, 2, 4, 5)}
 
     def after_a_second(seed: int = 0, asking_before: bool = False) -> AirSimWire:
-        wire = AirSimWire({"SensorSeed": seed, "Vehicles": {"Drone": down}})
+        wire = AirSimWire({"SensorSeed": seed, "DefaultSensors": sensors})
         for _ in range(10):
             wire.fly(0.1)
             if asking_before:

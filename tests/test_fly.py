@@ -19,7 +19,6 @@ import pytest
 from tests.running import full_device
 from tests.scripts import Folder
 from uavaccel.airsim import MultirotorClient
-from uavaccel.airsim.types import LandedState
 from uavaccel.cli.main import main
 from uavaccel.clock import time_module
 from uavaccel.errors import UserError
@@ -351,21 +350,6 @@ def test_a_flight_in_virtual_time_is_charged_latencies(
 
 
 # --- nothing fails silently ----------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("timing", ["lockstep", "virtual"])
-def test_a_script_takes_off_from_the_ground(timing: str, flight_in: FlightMaker, tmp_path: Path) -> None:
-    """All first calls fall into the first tick, as those of AirSim's takeoff.py do; and after a reset again."""
-    settings = {"Vehicles": {"Drone": {"X": 0, "Y": 0, "Z": 0}}}
-    client = client_of(flight_in(tmp_path, timing=timing, settings=settings))
-    for _ in range(2):
-        client.enableApiControl(True)
-        client.armDisarm(True)
-        assert client.getMultirotorState().landed_state == LandedState.Landed
-        client.takeoffAsync().join()
-        assert client.simGetVehiclePose().position.z_val < -1.2
-        assert client.getMultirotorState().landed_state == LandedState.Flying
-        client.reset()
 
 
 def test_flights_that_differ_stop_at_the_first_message_that_does(flight_in: FlightMaker, tmp_path: Path) -> None:

@@ -16,6 +16,7 @@ import pytest
 
 from tests.processes import descendants, left_after, state_of
 from uavaccel.processes import lifetime
+from uavaccel.processes.forks import Forks
 from uavaccel.processes.stalls import IDLE_POLLS, STOPPED_POLLS, StallDetector, cpu_time_s
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="elsewhere nothing happens")
@@ -71,7 +72,6 @@ def test_one_whose_parent_was_killed_before_ends_at_once() -> None:
 @pytest.mark.parametrize(
     ("program", "seconds", "status"),
     [("", 60.0, 0), ("import signal; signal.pause()", 0.01, -9), ("import os; os.kill(os.getpid(), 19)", 60.0, -9)],
-    ids=["ends", "waits", "stopped"],
 )
 def test_who_does_not_end_in_time_is_killed_and_one_that_is_stopped_at_once(
     program: str, seconds: float, status: int
@@ -138,6 +138,38 @@ def test_a_stopped_child_is_ended_after_some_looks(how: str) -> None:
         assert said.startswith(f"process {child} (")
         assert said.endswith(") was stopped, and was ended since it did not go on\n")
     assert said.count("\n") == (how == "looks")
+
+
+# --- forks -----------------------------------------------------------------------------------------------------------
+
+TEMPLATE = """
+import os, signal, sys, time
+from uavaccel.processes.forks import fork_each
+ends = [int, lambda: os._exit(3), lambda: os.kill(os.getpid(), 9), lambda: 1 / 0, *[signal.pause] * 2]
+fork_each([[]] * len(ends), int(sys.argv[1]), lambda number: ends[number]())
+"""
+
+
+def test_forks_are_waited_for_and_ended_as_processes_are(capfd: pytest.CaptureFixture[str]) -> None:
+    reports, told = os.pipe()
+    template = lifetime.start_python("-c", TEMPLATE, str(told), pass_fds=(told,), stdout=subprocess.DEVNULL)
+    os.close(told)
+    (forks := Forks(template, 6, reports)).read_reports(60.0)
+    *ended, waits, stays = forks.each()
+    assert [fork.wait(60.0) for fork in ended] == [fork.poll() for fork in ended] == [0, 3, -9, 1]
+    assert "ZeroDivisionError" in capfd.readouterr().err
+    assert len({template.pid, *(fork.pid for fork in forks.each())}) == 7
+    assert (waits.poll(), stays.poll()) == (None, None)
+    with pytest.raises(subprocess.TimeoutExpired):
+        waits.wait(0.01)
+    waits.terminate()
+    assert waits.wait() == -signal.SIGTERM
+    os.kill(stays.pid, signal.SIGSTOP)
+    stays.kill()
+    assert (stays.wait(), stays.poll()) == (-signal.SIGKILL, -signal.SIGKILL)
+    forks.close()
+    assert template.returncode == 0
+    waits.kill()  # who has ended, and whose id may be another's
 
 
 # --- stalls -----------------------------------------------------------------------------------------------------------

@@ -93,23 +93,6 @@ def test_a_placed_one_has_heading_home_sight_and_ground_of_its_own() -> None:
     assert call(api, "simGetCollisionInfo", "B")["collision_count"] == 0, "it stands from the beginning"
 
 
-def test_how_deep_one_is_in_the_ground_is_told_as_it_changes() -> None:
-    api = fleet(A={}, B={"X": -20, "Y": 10, "Z": -1})
-    go_on(api, 3.0)
-    depth_m = call(api, "simGetCollisionInfo", "B")["penetration_depth"]
-    assert depth_m == pytest.approx(place(api, "B")[2] - 1.0, abs=1e-6), "its frame begins 1.045 m above the ground"
-
-
-def test_a_newcomer_finds_air_and_objects_as_they_are() -> None:
-    api = made(airsim=True, OriginGeopoint={"Altitude": 3000})
-    call(api, "simSpawnObject", "box", "Cube", pose(5.0, 0.0, -10.0), point(1.0, 1.0, 1.0), False, False)
-    call(api, "simAddVehicle", "New", "simpleflight", pose(3.0, -6.0, 0.0), "")
-    for vehicle, there_m in {"": (5.0, 0.0, -10.0), "New": (2.0, 6.0, -10.0)}.items():
-        for place_m, refused in ((there_m, "m inside"), ((0.0, 0.0, -18_000.0), "thin air")):
-            with pytest.raises(rpc.RpcError, match=refused):
-                call(api, "simSetVehiclePose", pose(*place_m), False, vehicle)
-
-
 @pytest.mark.parametrize("frame", ["VehicleInertialFrame", "SensorLocalFrame"])
 def test_a_lidar_scans_around_its_own_vehicle(frame: str) -> None:
     """All of a scan: as many azimuths for each channel, the upmost channel first; the ground where it is."""
