@@ -184,46 +184,12 @@ def test_mistakes_are_one_line(
 # --- time ----------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("clock_speed", [1.0, 3.5])
-def test_a_sleep_between_unpause_and_pause_flies_exactly_that(
-    flight_in: FlightMaker, tmp_path: Path, clock_speed: float
-) -> None:
-    flight = flight_in(tmp_path, clock_speed)
-    client = client_of(flight)
-    client.simPause(True)
-    before = client.getMultirotorState().timestamp
-    for _ in range(3):
-        client.simPause(False)
-        flight.pass_time(0.2)
-        client.simPause(True)
-        flight.pass_time(0.7)
-    flown = client.getMultirotorState().timestamp - before
-    assert flown == round(0.6 * clock_speed * NS_PER_S)
-
-
 def test_making_the_simulation_is_no_time_of_the_flight(flight_in: FlightMaker, tmp_path: Path) -> None:
     flight, times = flight_in(tmp_path), iter([NS_PER_S, 4 * NS_PER_S])
     with patch.object(simulated, "MonotonicClock", lambda: SimpleNamespace(now_ns=times.__next__)):
         client_of(flight).ping()
     flight._client = SimpleNamespace(spent_s=0.5)  # type: ignore[assignment]
     assert flight.unflown_s == 3.5
-
-
-def test_only_sleeps_in_which_the_simulation_runs_count_as_slept(flight_in: FlightMaker, tmp_path: Path) -> None:
-    """From those alone flights at several ClockSpeeds part."""
-    flight = flight_in(tmp_path, 2.0)
-    flight.pass_time(0.0)
-    with pytest.raises(ValueError, match="must be non-negative"):
-        flight.pass_time(-0.1)
-    assert flight.summary()["script_s"] == flight.summary()["slept_s"] == 0.0
-    flight.pass_time(0.25)  # before a client has connected nothing flies, but nothing is paused either
-    client = client_of(flight)
-    client.simPause(True)
-    flight.pass_time(1.0)
-    assert flight.summary()["slept_s"] == 0.25
-    client.simPause(False)
-    flight.pass_time(0.5)
-    assert flight.summary()["slept_s"] == 0.75
 
 
 def test_declared_thinking_is_flown_through(flight_in: FlightMaker, tmp_path: Path) -> None:

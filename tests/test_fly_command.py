@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import signal
+import subprocess
 from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext
 from dataclasses import replace
@@ -17,7 +19,7 @@ import pytest
 from tests.golden import assert_as_recorded
 from uavaccel.errors import UserError
 from uavaccel.fly import command
-from uavaccel.fly.command import FlightResult, FlyRequest, _wait, check, fly_script
+from uavaccel.fly.command import FlightResult, FlyRequest, _interrupt, _wait, check, fly_script
 from uavaccel.fly.log import DifferenceError, filming, write_trajectory
 from uavaccel.fly.options import DIFFERENCE, SUMMARY, FlightOptions, FlightSummary, found_settings
 
@@ -211,6 +213,41 @@ def test_a_process_ended_by_a_signal_has_a_shells_status_and_a_line(capsys: pyte
     killed, crashed = capsys.readouterr().err.splitlines()
     assert killed == "uavaccel: error: the script's process was ended by SIGKILL"
     assert crashed.endswith("was ended by SIGSEGV")
+
+
+class Waited:
+    """A process whose waits end with a status, not in time, or with another Ctrl-C."""
+
+    def __init__(self, *ends: int | type[BaseException] | None) -> None:
+        self.ends, self.sent = [*ends], list[str]()
+        self.kill = lambda: self.sent.append("kill")
+
+    def wait(self, seconds: float | None = None) -> int:
+        end = self.ends.pop(0)
+        if isinstance(end, int):
+            return end
+        raise subprocess.TimeoutExpired("script", seconds or 0.0) if end is None else end
+
+    def send_signal(self, number: signal.Signals) -> None:
+        self.sent.append(number.name)
+
+
+@pytest.mark.parametrize(("ends", "heard", "status", "sent"), [
+    ([7], None, 7, []),
+    ([None, 7], None, 7, ["SIGINT"]),
+    ([None, 7], False, 7, ["SIGINT"]),
+    ([None, 7], True, 7, []),
+    ([None, None, -9], True, 130, ["kill"]),
+    ([None, KeyboardInterrupt, -9], False, 130, ["SIGINT", "kill"]),
+])  # fmt: skip
+def test_a_script_that_has_not_heard_of_ctrl_c_is_told(
+    ends: Any, heard: bool | None, status: int, sent: list[str], tmp_path: Path
+) -> None:
+    if heard:
+        (tmp_path / "seen").touch()
+    process: Any = Waited(*ends)
+    assert _interrupt(process, None if heard is None else tmp_path / "seen") == status
+    assert (process.sent, process.ends) == (sent, [])
 
 
 # --- the film --------------------------------------------------------------------------------------------------------
