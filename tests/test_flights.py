@@ -107,17 +107,14 @@ class Flight(dict[str, Any]):
             else:
                 self.pending.append((line[2:].partition("(")[0], reply))
         assert_bounded(self.simulation.world.model)
-        due = [each for each in self.pending if each[1].due_wall_ns is not None]
+        due, begun_ns = [each for each in self.pending if each[1].due_wall_ns is not None], self.begun_ns
         self.pending = [each for each in self.pending if each[1].due_wall_ns is None]
-        replies = [f"{name}: {plain(received(one))} at {self._ms(one.due_wall_ns)}" for name, one in due]
-        clock = f"{self._ms(self.simulation.wall_ns)} ms, tick {self.simulation.world.tick}"
+        replies = [f"{name}: {plain(received(one))} at {ms((one.due_wall_ns or 0) - begun_ns)}" for name, one in due]
+        clock = f"{ms(self.simulation.wall_ns - begun_ns)} ms, tick {self.simulation.world.tick}"
         pilots = [pilot for pilot in self.simulation.pilots if pilot.vehicle.name != "Other"]
         state = [clock + ", paused" * self.simulation.paused, *filter(None, map(self._changed, pilots))]
         said, self.said[:] = [f"said: {text}" for text in self.said], []
         return "; ".join([plain(answer), *said, *replies, *state, *filter(None, [self.simulation.failure])])
-
-    def _ms(self, wall_ns: int | None) -> str:
-        return ms((wall_ns or 0) - self.begun_ns)
 
     def begin_anew(self) -> None:
         """Reset, at a whole second from which times are counted now; a vehicle alone gets company far away."""
@@ -156,8 +153,8 @@ def received(reply: Any) -> Any:
     return msgpack.unpackb(rpc.pack_response(1, None, answer))[3]
 
 
-def ms(wall_ns: int | None) -> str:
-    return f"{(wall_ns or 0) / 1e6:.9g}"
+def ms(wall_ns: int) -> str:
+    return f"{wall_ns / 1e6:.9g}"
 
 
 def digits(values: Any, decimals: int) -> str:

@@ -246,16 +246,6 @@ def test_loops_that_poll_come_to_an_end(flight_in: FlightMaker, tmp_path: Path) 
     assert FREE_CALLS < polls < FREE_CALLS + 1001
 
 
-def test_until_ends_what_has_no_end(flight_in: FlightMaker, tmp_path: Path) -> None:
-    flight = flight_in(tmp_path, clock_speed=4.0, until_s=8.0)
-    client = client_of(flight)
-    client.enableApiControl(True)
-    client.moveByVelocityAsync(1, 0, 0, 7).join()
-    with pytest.raises(FlightOver), contextlib.suppress(Exception):  # what a script may do
-        client.moveByVelocityAsync(1, 0, 0, 3).join()
-    assert flight.summary()["simulated_s"] == 8.0
-
-
 @pytest.mark.parametrize("timing", ["virtual", "wall"])
 def test_until_keeps_the_flight_of_a_script_that_catches_all(timing: str, folder: Folder) -> None:
     text = """

@@ -140,8 +140,6 @@ def test_a_stopped_child_is_ended_after_some_looks(how: str) -> None:
     assert said.count("\n") == (how == "looks")
 
 
-# --- forks -----------------------------------------------------------------------------------------------------------
-
 TEMPLATE = """
 import os, signal, sys, time
 from uavaccel.processes.forks import fork_each
