@@ -194,7 +194,7 @@ TIMES = re.compile(r"(?:(?:stamp|utc) |(?:^|ContinueFor: )\[)\d+")
 
 @pytest.mark.parametrize("heading", FLIGHTS)
 def test_a_flight_is_as_recorded(heading: str) -> None:
-    """And the same after a reset, which leaves nothing of it."""
+    """And the same after a reset, which leaves nothing of it, and beside another vehicle."""
     (file, scenario), told = FLIGHTS[heading], list[str]()
     flight = Flight(**scenario.options)
 
