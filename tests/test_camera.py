@@ -18,7 +18,7 @@ from uavaccel.kinematics import VelocityGoal
 from uavaccel.resources import asset
 from uavaccel.sim.camera import gl, pixels
 from uavaccel.sim.camera.camera import SKY_M, Camera, Lens, MountedCamera
-from uavaccel.sim.camera.view import HEIGHT, WIDTH
+from uavaccel.sim.camera.view import HEIGHT, WIDTH, own_fov_deg
 from uavaccel.sim.flight import of_velocity
 from uavaccel.sim.lane import apply_layout, sample_layout
 from uavaccel.sim.profile import NATIVE
@@ -129,6 +129,8 @@ def test_the_field_of_view_is_horizontal(posts: mujoco.MjModel, width: int, heig
 @needs_opengl
 def test_pictures_have_a_drones_own_field_of_view(posts: mujoco.MjModel) -> None:
     narrow = copy.copy(posts)
+    narrow.cam_fovy += 0.05  # a quarter of a pixel
+    assert [own_fov_deg(each, 0) == 90.0 for each in (posts, narrow)] == [True, False]
     narrow.cam_fovy[:] = 40.0
     with Camera(narrow, 128, 72) as camera:
         cube = camera.segmentation(mujoco.MjData(narrow)) == narrow.geom("post").id

@@ -148,7 +148,6 @@ class Flight(dict[str, Any]):
 
 
 def received(reply: Any) -> Any:
-    """What a client is answered."""
     answer = reply.encode(reply.value) if isinstance(reply, DeferredReply) else reply
     return msgpack.unpackb(rpc.pack_response(1, None, answer))[3]
 
