@@ -32,6 +32,10 @@ from uavaccel.own_code import module_of, own_class, own_module
 from uavaccel.resources import require
 
 if TYPE_CHECKING:
+    from pydantic import GetJsonSchemaHandler
+    from pydantic.json_schema import JsonSchemaValue
+    from pydantic_core import CoreSchema
+
     from uavaccel.envs.flight_env import FlightEnv
 
 DOUBLE_DQN, PPO = OWN = "double_dqn", "ppo"
@@ -141,7 +145,15 @@ def _of_the_environment(task: Any, handler: ValidatorFunctionWrapHandler, info: 
     return made
 
 
-AnyTask = Annotated[SerializeAsAny[LaneTask], WrapValidator(_of_the_environment)]
+class _OfEach:
+    """Lets the JSON schema have the keys of any environment's task."""
+
+    def __get_pydantic_json_schema__(self, core: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
+        kinds = (environment_class(name).task_class for name in ENVIRONMENTS)
+        return {"anyOf": [handler(kind.__pydantic_core_schema__) for kind in kinds]}
+
+
+AnyTask = Annotated[SerializeAsAny[LaneTask], WrapValidator(_of_the_environment), _OfEach()]
 """A LaneTask; with another `env_id`, that environment's task."""
 
 
