@@ -7,15 +7,13 @@ import re
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable
 from contextlib import nullcontext, suppress
 from dataclasses import is_dataclass, replace
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Annotated, Any, Literal, cast, get_args, get_origin
+from typing import Annotated, Any, Literal, get_args, get_origin
 
 import pytest
-import typer.main
 from pydantic import BaseModel
 from rich.console import Console
 
@@ -24,7 +22,6 @@ from tests.running import typed
 from tools.write_cli_reference import reference
 from uavaccel import __version__
 from uavaccel.cli import experiments, terminal
-from uavaccel.cli.main import app
 from uavaccel.cli.options import one_of, shipped
 from uavaccel.cli.terminal import columns_within
 from uavaccel.draw.page import Table
@@ -116,111 +113,6 @@ def test_what_is_complained_of_to_nobody_is_not_printed_elsewhere() -> None:
     command = f"{sys.executable} -m uavaccel nonsense 2>&-"
     done = subprocess.run(command, shell=True, cwd=ROOT, stdout=subprocess.PIPE, text=True, check=False)
     assert (done.returncode, done.stdout) == (2, "")
-
-
-REFUSED = """
-watch --case a --game 1
-watch run --clock 5
-watch run --think 1
-watch run --seed 1
-watch run --film f.mp4 --host ::1
-watch run --film f.mp4 --port 9
-watch --case a
-watch --game 0
-watch run --film f.avi
-watch --film f.mp4
-watch nowhere
-watch own --film f.mp4
-export own
-export own --csv f --case a
-export own --csv f
-export nowhere --onnx f.onnx
-timing advise --error 0
-timing advise --t-move 0
-timing advise --thinking 90000
-timing advise --t-move 0.001
-timing certify p.onnx CartPole-v1 --latency a --latency b
-timing certify p.onnx CartPole-v1 --latency a --latency 1
-timing certify p.onnx CartPole-v1 --factor 2
-timing certify p.onnx CartPole-v1 --set env=2
-timing certify p.onnx CartPole-v1 --set chnk=2
-timing certify default CartPole-v1 --delay 1
-timing certify own/act.py:act none.such:CartPole-v1 --delay 1
-timing measure own/act.py:act CartPole-v1 --out own/act.py
-timing calibrate --out own/act.py
-timing nothing
-init
-init own
-init --schema nothing
-run dp1 dp2
-run --report
-run --report own
-run --report runs/a --jobs 1 --set a=1
-run --resume
-run dp1 --resume
-run --resume --out own
-run train --clock 5 --clock 10 --dry-run
-run dp1 --clock 0
-run dp1 --clock 5 --clock x
-run dp1 --with own
-run dp1 --seeds 3
-run dp1 --set clock_speed.0=5
-run dp1 --set clock_sped=5
-run dp1 --jobs 2 --timing wall
-run dp1 --jobs 0
-run dp1 --out own --clock 5
-evaluate --watch --set simulator=kernels
-evaluate --resume
-evaluate own.yaml --sweep wind=1
-evaluate straight --sweep wind=1 --against own
-evaluate straight --sweep wind
-evaluate straight --sweep wind=1 --sweep wind=2
-evaluate straight --against own
-evaluate straight --command both
-train dp1
-evaluate train --dry-run --set suite=train
-train --seeds 0
-train --seed 1.5
-train --set games
-train --set task.clock_sped=2
-train --set task.t_move_s=1.001
-train --set task.history=2 --clock 2 --set task.t_move_s=1.001
-train --out=
-report own
-view own
-schema dp1
-advise
-calibrate
-flow
-"""
-
-
-def beyond(option: Any) -> list[str]:
-    """What an option refuses: numbers next to its bounds, and a word that it does not know."""
-    ends = [(option.min, -1), (option.max, 1)] if hasattr(option, "min") else []
-    numbers = [str(end + step) for end, step in ends if end is not None]
-    kind = option.type_descriptor.annotation
-    return [*numbers, *["x"] * (kind in (int, float) or "|" in (option.metavar or ""))]
-
-
-def test_what_does_not_fit_is_one_line(
-    said: Callable[[str], Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Of each option alone, and of options and arguments that do not go together."""
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "own").mkdir()
-    (tmp_path / "own/act.py").write_text("def act(seen):\n    return 1\n")
-    told, top = list[str](), cast(Any, typer.main.get_command(app)).commands
-    of_timing = {f"timing {name}": command for name, command in top["timing"].commands.items()}
-    for name, command in (top | of_timing).items():
-        given = " ".join("x" for each in command.params if each.param_type_name == "argument" and each.required)
-        options = [each for each in command.params if each.param_type_name == "option" and not each.is_flag]
-        lines = [f"{name} {each.opts[0]} {value} {given}" for each in options for value in beyond(each)]
-        told += [f"{name}: {' | '.join(map(said, lines))}"] * bool(lines)
-    for line in REFUSED.strip().splitlines():
-        complaint = said(line)
-        told.append(f"{complaint.status} {line} -> {complaint}")
-    assert_as_recorded("refused", "\n".join(told).replace(str(tmp_path), "HERE") + "\n")
 
 
 def test_words_of_options_and_experiments_are_completed() -> None:
