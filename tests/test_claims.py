@@ -371,7 +371,7 @@ def uneven(seed: int) -> dict[str, Any]:
     shares: dict[str, Any] = {
         f"{command}{clock:g}": random.uniform(0.05, 0.9) for command in PAPER_TABLE for clock in CLOCKS
     }
-    speeds = {f"speed{clock:g}": speed * random.uniform(0.8, 1.2) for clock, speed in SPEEDUPS.items()}
+    speeds: dict[str, Any] = {f"speed{clock:g}": speed * random.uniform(0.8, 1.2) for clock, speed in SPEEDUPS.items()}
     flown = trained(games=200, seeds=4, scatter=0.01, thinking=random.uniform(0.03, 0.9), **shares, **speeds)
     ended_m = [each + random.normal(0.0, 1.5, len(each)) for each in flown.distance_m]
     return {"dp1": trajectories(change), "dp2": dp2_report(rows, study), "rl": flown.assign(distance_m=ended_m)}
