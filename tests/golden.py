@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import difflib
 import os
-import textwrap
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -39,8 +38,7 @@ def assert_as_recorded(name: str, text: str) -> None:
 
 
 def report_text(report: Report, figures: Mapping[str, Figure]) -> str:
-    """A report that is written, as text; `figures` are those of `record_figures`."""
-    report.write()
+    """A report that has been written, as text; `figures` are those of `record_figures`."""
     page = (report.run.path / "report.md").read_text(encoding="utf-8").partition("\n## Provenance")[0]
     page = page.replace(str(report.run.path.parent), "RUNS")
     return "\n".join([page, "## summary.json\n", *_tree(report.summary), *figures_text(figures)]) + "\n"
@@ -129,11 +127,11 @@ def _number(value: float) -> str:
 
 
 def _tree(summary: Mapping[str, Any]) -> Iterator[str]:
-    """Plain data, a paragraph for each key; entries of lists of mappings begin lines of their own."""
+    """Plain data, a line for each key, and for each entry of a list of mappings."""
     for key, value in summary.items():
         entries = value if _is_list(value) and any(isinstance(each, Mapping) for each in value) else [value]
         for entry in entries:
-            yield textwrap.fill(f"{key}: {plain(entry)}", 118, subsequent_indent="    ", break_long_words=False)
+            yield f"{key}: {plain(entry)}"
 
 
 def _is_list(value: Any) -> bool:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import re
 import sys
 from collections.abc import Callable, Iterator
-from itertools import islice
+from itertools import groupby
 from pathlib import Path
 from typing import Any, cast
 
@@ -131,10 +131,8 @@ command = [none]
 OTHERS = [
     "train --set task.lane={obstacles: [], wind_m_s: [1e9, 0, 0]}",
     "train --set task.lane={obstacles: [], wind_m_s: [0, 0]}",
-    *(
-        f"{line}={{obstacles: [{{x_m: 0.1, y_m: 0, radius_m: 1}}]}}"
-        for line in ("train --set task.lane", "run dp2 --set lane")
-    ),
+    "train --set task.lane={obstacles: [{x_m: 0.1, y_m: 0, radius_m: 1}]}",
+    "run dp2 --set lane={obstacles: [{x_m: 0.1, y_m: 0, radius_m: 1}]}",
     "run dp2 --set lane={obstacles: [], wind_m_s: [1e9, 0, 0]}",
     "train --set options={batch_size: 100, buffer_size: 99}",
     f"train --set task.headings_deg={[*range(-180, 181)]}",
@@ -142,13 +140,8 @@ OTHERS = [
     *(f"evaluate straight --set agent={name}" for name in ("x", "offset:inf", "offset:left", "offset:11")),
     "run paper --set with_run=nowhere",
     *(f"{command} --set task={name}" for command in ("train", "evaluate") for name in ("'so'", 3)),
-    *(
-        f"run dp1 --out {'x' * 300}",
-        f"run dp1 --games 1{'0' * 400}",
-        "run nowhere.yaml",
-        "run nowhere",
-        "train nowhere.yaml",
-    ),
+    *(f"run dp1 --out {'x' * 300}", f"run dp1 --games 1{'0' * 400}"),
+    *("run nowhere.yaml", "run nowhere", "train nowhere.yaml"),
 ]
 
 # What the file of an experiment holds.
@@ -156,21 +149,11 @@ FILES = [
     *("suite: [dp1]", "suite: evaluate\ntask: 3", "suite: train\ntask: 3", "suite: train\nmirror: false\ntask: [1, 2]"),
     *("games: 3", "", "3", "- dp1", "suite: dp1\nsuite: dp2", "suite: 'dp1", "\x00", "? [a]\n: b"),
     *("suite: !!python/object/apply:os.system ['true']", LAUGHS + "suite: dp1\nclock_speed: *i"),
-    *(
-        "suite: " + "[" * 100_000,
-        "suite: dp1\ngames: " + "9" * 5000,
-        "suite: dp1\n1: 2",
-        "suite: ':'",
-        "suite: ':Suite'",
-    ),
-    *("suite: 'json:'", "suite: '..json:loads'", "suite: 'json:loads'"),
-    *(
-        "suite: 'uavaccel.suites.suite:Suite'",
-        "suite: 'uavaccel.units:.x'",
-        "suite: dp1\n\tgames: 2",
-        "suite: dp1\n---\nsuite: dp2",
-    ),
+    *("suite: " + "[" * 100_000, "suite: dp1\ngames: " + "9" * 5000, "suite: dp1\n1: 2", "suite: ':'"),
+    *("suite: ':Suite'", "suite: 'json:'", "suite: '..json:loads'", "suite: 'json:loads'"),
+    *("suite: 'uavaccel.suites.suite:Suite'", "suite: 'uavaccel.units:.x'", "suite: dp1\n\tgames: 2"),
     *(f"suite: dp1\n{line}" for line in ("seed: !!timestamp 2020-01-01", "path: !!set {a, b}", "games: !!binary aGk=")),
+    "suite: dp1\n---\nsuite: dp2",
 ]
 
 # Command lines.
@@ -248,13 +231,13 @@ def of_each_option() -> Iterator[list[str]]:
 def table() -> Iterator[list[str]]:
     """Yield command lines, a few at a time."""
     for command, text in CONFIGURATIONS.items():
-        for row in text.strip().splitlines():
-            entries = [entry.partition(" = ") for entry in row.split("; ")]
-            yield [f"{command} {key}={value}" for key, _, values in entries for value in values.split(" | ")]
-    yield from (row.split("; ") for row in OPTIONS.strip().splitlines())
+        entries = [entry.partition(" = ") for entry in text.strip().replace("\n", "; ").split("; ")]
+        yield [f"{command} {key}={value}" for key, _, values in entries for value in values.split(" | ")]
     yield from of_each_option()
-    others = iter([*COMBINATIONS.strip().splitlines(), *OTHERS, *(f"run {{{text}}}" for text in FILES)])
-    yield from iter(lambda: list(islice(others, 4)), [])
+    yield from (
+        [*lines] for _, lines in groupby(OPTIONS.strip().replace("\n", "; ").split("; "), lambda line: line[:5])
+    )
+    yield from (COMBINATIONS.strip().splitlines(), OTHERS, [f"run {{{text}}}" for text in FILES])
 
 
 class Flown(Exception):

@@ -16,12 +16,15 @@ from typing import Annotated, Any, Literal, get_args, get_origin
 import pytest
 from pydantic import BaseModel
 from rich.console import Console
+from typer.testing import CliRunner
 
-from tests.golden import assert_as_recorded
+from tests.drawing import record_figures
+from tests.golden import assert_as_recorded, plain
 from tests.running import typed
 from tools.write_cli_reference import reference
 from uavaccel import __version__
 from uavaccel.cli import experiments, terminal
+from uavaccel.cli.main import app
 from uavaccel.cli.options import one_of, shipped
 from uavaccel.cli.terminal import columns_within
 from uavaccel.draw.page import Table
@@ -254,23 +257,6 @@ def test_an_option_that_the_script_names_itself_is_its_own(asked: list[Any], tmp
     assert asked[0][1].flight.arguments == ("--speed", "3", "--altitude", "2", "-h")
 
 
-def test_several_runs_of_a_suite_are_compared(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    done: list[tuple[str, ...]] = []
-
-    def compare(runs: list[Any]) -> list[Path]:
-        done.append(("compared", *(run.path.name for run in runs)))
-        return [Path("compared.png")]
-
-    monkeypatch.setattr(
-        "uavaccel.records.RunDirectory",
-        lambda path: SimpleNamespace(path=path, config=lambda: {"suite": path.name[:-1]}),
-    )
-    monkeypatch.setattr(experiments, "report_run", lambda run: done.append(("reported", run.path.name)))
-    monkeypatch.setattr("uavaccel.suites.registry.suite_of", lambda run: SimpleNamespace(compare=compare))
-    assert typed("run --report train1 dp1 train2").splitlines() == ["compared.png"]
-    assert done == [*(("reported", name) for name in ("train1", "dp1", "train2")), ("compared", "train1", "train2")]
-
-
 # --- a run in words ---------------------------------------------------------------------------------------------------
 
 UNKNOWN = "wall time known after the first"
@@ -444,6 +430,61 @@ def test_the_time_left_is_at_the_pace_of_this_start(monkeypatch: pytest.MonkeyPa
     assert said.getvalue().startswith("3/10 cells, ")  # as the plan calls them
     left = [line.rpartition(", ")[2] for line in said.getvalue().splitlines()]
     assert left == ["time left unknown", "11 min left", "14 min left", "10 min left"]
+
+
+# What a machine's own pace tells, and when it was.
+OF_THE_MACHINE = re.compile(
+    r"[\d.]+ simulated s per wall s(, .*)?|[\d.]+ (s|min) in all|(?<=took )[\d.]+ s of wall clock.*|\d+-\d\d-\d\dT\d+"
+    r"|[\d.]+ ms\b.*|(?<=policy )\w{12}|(?<=rows )\w{12}"
+)
+SMALL = "--games 2 --no-films --set task.observation=state --set task.max_commands"
+LEFT = "act.py:left CartPole-v1 --set default_action=0"
+SESSION = f"""
+run dp1 --clock 10 --timing virtual --t-move 0.5 --rounds 1 --games 1 --seed 3 --set reference_games=2 --out dp1
+evaluate straight {SMALL}=4 --out one
+evaluate offset:1 {SMALL}=4 --set first_lane=1 --against one --out two
+evaluate offset:1 {SMALL}=4 --set first_lane=9 --against one --dry-run
+evaluate offset:1 {SMALL}=4 --set first_lane=9 --against one --out three
+run --report one two --trust
+evaluate straight {SMALL}=3 --sweep wind=0,4 --sweep speed=2 --out sweep
+run --resume --out sweep
+evaluate act.py:hold --games 2 --set env_id=uavaccel/Hover-v0 --trust --no-films --out hover
+train --games 3 --set task.observation=state --set task.max_commands=3 --set mirror=false --set hidden=[8] --out train
+train --resume --out train
+export one --csv csv --minari one-v0
+export dp1 --csv logs --mcap logs/a.mcap --case adsc-k10-t0.5-r1-g00
+timing certify {LEFT} --delay 0 --delay 3 --episodes 2 --trust --out certificate
+timing certify {LEFT} --delay 0 --delay 3 --episodes 2 --resume --out certificate
+timing measure {LEFT} --steps 3 --warm-up 1
+init begun
+"""
+SHIPPED = "dp1 dp2_airsim evaluate hover_ppo mediation_flight realtime_wall rl_smoke sweep train_robust"
+
+
+@pytest.mark.slow
+def test_a_session_prints_and_leaves_what_was_recorded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of each command its lines, the files that it has made, and of a run the summary and the last row."""
+    record_figures(monkeypatch)
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "act.py").write_text("def hold(seen): return [0.0] * 3\n\n\ndef left(seen): return 0\n")
+    told, there = list[str](), {Path("act.py")}
+    for line in [*SESSION.strip().splitlines(), *(f"run {name} --dry-run" for name in SHIPPED.split())]:
+        done = CliRunner().invoke(app, line.split())
+        lines = [*done.output.splitlines(), *[repr(done.exception)] * (done.exit_code != 0)]
+        told.append(f"$ {line}: {' / '.join(OF_THE_MACHINE.sub('OURS', ' '.join(each.split())) for each in lines)}")
+        files = {path.relative_to(tmp_path) for path in tmp_path.glob("**/*") if path.is_file()} - there
+        there |= files
+        names = sorted(str(path) for path in files if "parts" not in path.parts)
+        told += [re.sub(r"events\.out\S*", "EVENTS", " ".join(names))] * bool(names)
+        told += [Path(name).read_text().partition("\n")[0] for name in names if name.endswith("rows.csv")]
+        for name in [name for name in names if Path(name).name == "summary.json"]:
+            kept: Any = json.loads(Path(name).read_text()), RunDirectory(Path(name).parent).rows()[-1]
+            machines = ("wall_s", "simulated_s_per_wall_s") * (line.startswith("train"))
+            told += [
+                plain({key: each for key, each in some.items() if key not in machines and "sha256" not in key})
+                for some in kept
+            ]
+    assert_as_recorded("session", "\n".join([*told, ""]).replace(str(tmp_path), "HERE"))
 
 
 # --- around an evaluation ---------------------------------------------------------------------------------------------

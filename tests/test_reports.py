@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -34,6 +35,7 @@ from tests.made_runs import (
     yaw,
 )
 from tests.running import configured
+from uavaccel.cli.experiments import report_run
 from uavaccel.config import validate
 from uavaccel.draw import style
 from uavaccel.records import RunDirectory
@@ -546,12 +548,18 @@ MADE: tuple[Callable[[Path], Report], ...] = (
 
 @pytest.mark.parametrize("make", MADE, ids=lambda make: make.__name__)
 def test_a_report_is_the_one_that_was_read(
-    make: Callable[[Path], Report], tmp_path: Path, drawn: dict[str, Figure]
+    make: Callable[[Path], Report],
+    tmp_path: Path,
+    drawn: dict[str, Figure],
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     report = make(tmp_path / "run")
-    text = report_text(report, drawn)
-    if (table := report.overview()) is not None:  # what the command line prints
-        text += "\n".join(["\n## overview", " | ".join(table.header), *(" | ".join(row) for row in table.rows)]) + "\n"
+    suite = SimpleNamespace(report=lambda run: report)
+    monkeypatch.setattr("uavaccel.suites.registry.suite_of", lambda run: suite)
+    report_run(report.run)
+    printed = [line.rstrip() for line in capsys.readouterr().out.splitlines() if not line.endswith((".png", ".html"))]
+    text = "\n".join([report_text(report, drawn), "## printed", *printed, ""])
     assert_as_recorded(make.__name__, text.replace(str(tmp_path), "RUNS"))
 
 
