@@ -494,7 +494,7 @@ def mediation_of_many(path: Path) -> Report:
 def realtime(path: Path) -> Report:
     """Of two agents the naive one is ahead in real time, and behind at 4x where latency is 50 ms."""
     rows = []
-    for latency_s in (0.3, 0.0, 0.05):
+    for latency_s in (0.3, 0.0, 0.1, 0.05):
         for speed in (1.0, 4.0):
             mean = 3 if (latency_s, speed) == (0.05, 4.0) else 20
             rows.append(thinking_row("naive", "adsc", latency_s, speed, mean))
