@@ -177,6 +177,14 @@ def lane_world(_lane_world: World) -> World:
     return _lane_world
 
 
+@pytest.fixture
+def without_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Write a few bytes in place of a figure, which takes longer than a small run's flights."""
+    from tests.drawing import record_figures  # which loads what draws
+
+    record_figures(monkeypatch)
+
+
 @pytest.fixture(scope="module")
 def trainings_here() -> Iterator[None]:
     """Small trainings are quick."""

@@ -446,19 +446,16 @@ evaluate offset:1 {SMALL}=4 --set first_lane=1 --against one --out two
 evaluate offset:1 {SMALL}=4 --set first_lane=9 --against one --dry-run
 evaluate offset:1 {SMALL}=4 --set first_lane=9 --against one --out three
 run --report one two --trust
-evaluate straight {SMALL}=3 --sweep wind=0,4 --sweep speed=2 --out sweep
+evaluate straight {SMALL}=3 --sweep wind=0,4 --out sweep
 run --resume --out sweep
 evaluate act.py:hold --games 2 --set env_id=uavaccel/Hover-v0 --trust --no-films --out hover
 train --games 3 --set task.observation=state --set task.max_commands=3 --set mirror=false --set hidden=[8] --out train
-train --resume --out train
 export one --csv csv --minari one-v0
 export dp1 --csv logs --mcap logs/a.mcap --case adsc-k10-t0.5-r1-g00
 timing certify {LEFT} --delay 0 --delay 3 --episodes 2 --trust --out certificate
-timing certify {LEFT} --delay 0 --delay 3 --episodes 2 --resume --out certificate
 timing measure {LEFT} --steps 3 --warm-up 1
-init begun
 """
-SHIPPED = "dp1 dp2_airsim evaluate hover_ppo mediation_flight realtime_wall rl_smoke sweep train_robust"
+SHIPPED = "dp1 dp2_airsim evaluate hover_ppo mediation_flight realtime_wall rl_smoke train_robust"
 
 
 @pytest.mark.slow
