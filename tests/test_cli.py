@@ -11,9 +11,10 @@ from contextlib import nullcontext, suppress
 from dataclasses import is_dataclass, replace
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Annotated, Any, Literal, get_args, get_origin
+from typing import Annotated, Any, Literal, cast, get_args, get_origin
 
 import pytest
+import typer.main
 from pydantic import BaseModel
 from rich.console import Console
 from typer.testing import CliRunner
@@ -124,6 +125,11 @@ def test_words_of_options_and_experiments_are_completed() -> None:
     assert words("") == ["wall", "virtual", "lockstep"]
     assert shipped("dp") == ["dp1", "dp2", "dp2_airsim"]
     assert not {"claims", "latency", "latency_airsim"} & set(shipped(""))
+    for name, command in cast(Any, typer.main.get_command(app)).commands.items():
+        if name != "timing":
+            context = command.make_context(name, [], resilient_parsing=True)
+            for option in [each for each in command.params if "|" in (each.metavar or "")]:
+                assert [each.value for each in option.shell_complete(context, "")] == option.metavar.split("|")
 
 
 # --- what is typed is what is asked for -------------------------------------------------------------------------------

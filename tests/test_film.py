@@ -7,6 +7,7 @@ import sys
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import av
 import cv2
@@ -173,7 +174,7 @@ def test_more_events_have_a_deeper_colour(on: int, off: int, bgr: tuple[int, int
 def test_frames_and_sheets_look_as_they_did_when_they_were_seen(tmp_path: Path) -> None:
     """Means of 32 by 18 parts of each, every colour's, within a few steps of those that are recorded."""
     film = flown(samples=7, colour=True)
-    time_s, wide = 0.4 * np.arange(7) ** 1.5, np.linspace(0.0, 1.0, 7)[:, None]
+    time_s, wide = np.float64(0.4) * np.arange(7.0) ** 1.5, np.linspace(0.0, 1.0, 7)[:, None]
     film = replace(film, title="A way", time_s=time_s, position_m=film.position_m + wide * [2.5, -3.0, -4.0])
     film.on_events[2, :40], film.off_events[5, 100:] = 1, 2
     rated = replace(decided([0, 0, 0, 0, 1, 1, 1]), rated_as="chances")
@@ -185,7 +186,7 @@ def test_frames_and_sheets_look_as_they_did_when_they_were_seen(tmp_path: Path) 
         "clutter": replace(behind, layout=clutter, target_m=[30.0, 10.0, -2.0], decisions=rated),
         "nothing": replace(film, layout=None, hit="x"),
     }  # fmt: skip
-    shown = {f"{name} {place}": [*frames(each)][place] for name, each in of.items() for place in (2, -1)}
+    shown: dict[str, Any] = {f"{name} {place}": [*frames(each)][place] for name, each in of.items() for place in (2, -1)}
     shown["sheet"] = cv2.imread(str(write_contact_sheet(replace(film, hit="x"), tmp_path / "sheet.png")))
     parts = {name: cv2.resize(frame, (32, 18), interpolation=cv2.INTER_AREA) for name, frame in shown.items()}
     if os.environ.get("RECORD"):

@@ -351,7 +351,12 @@ def test_the_pages_process_tells_its_port_and_its_first_spectator_and_leaves_not
     monkeypatch.setattr(beside, "end_with_parent", lambda parent, first: done.append((parent, first)))
     monkeypatch.setattr(os, "nice", done.append)
     server = SimpleNamespace(get_port=lambda: 8123)
-    monkeypatch.setattr(beside, "open_server", lambda *asked: (done.append(asked), server)[1])
+
+    def opened(*asked: Any) -> Any:
+        done.append(asked)
+        return server
+
+    monkeypatch.setattr(beside, "open_server", opened)
     monkeypatch.setattr("uavaccel.watch.sources.Live", str)
     browsers: list[threading.Thread] = []
     shown = SimpleNamespace(run=lambda: done.append("run"))
