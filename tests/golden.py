@@ -47,7 +47,8 @@ def report_text(report: Report, figures: Mapping[str, Figure]) -> str:
 def figures_text(figures: Mapping[str, Figure]) -> Iterator[str]:
     """Lines that describe figures."""
     for name, figure in figures.items():
-        yield f"\n## {name}: {figure.get_suptitle()} | {figure.get_supxlabel()}"
+        size_in = " x ".join(map(_number, figure.get_size_inches()))
+        yield f"\n## {name}, {size_in} in: {figure.get_suptitle()} | {figure.get_supxlabel()}"
         for axes in figure.axes:
             yield from _axes(axes)
         yield from (f"legend: {_legend(legend)}" for legend in figure.legends)
@@ -75,9 +76,13 @@ def _artist(artist: Any) -> str:
         data: Any = artist.get_data_3d() if hasattr(artist, "get_data_3d") else artist.get_data()
         look = f"{to_hex(artist.get_color())} {artist.get_linestyle()} {artist.get_marker()} {artist.get_drawstyle()}"
         alpha = "" if artist.get_alpha() is None else f" {artist.get_alpha():.3g}"
-        return f"line {look}{alpha}: {' | '.join(map(numbers, data))}" if len(data[0]) else ""
+        width = (
+            f" {artist.get_linewidth():g} wide" if artist.get_linestyle() != "None" else f" {artist.get_markersize():g}"
+        )
+        return f"line {look}{width}{alpha}: {' | '.join(map(numbers, data))}" if len(data[0]) else ""
     if isinstance(artist, Annotation):
-        return f"note {artist.get_text()!r} {numbers(artist.xy)} from {numbers(artist.xyann)}"
+        colour = to_hex(artist.get_color())
+        return f"note {artist.get_text()!r} {colour} {numbers(artist.xy)} from {numbers(artist.xyann)}"
     if hasattr(artist, "get_text"):
         return f"text {artist.get_text()!r} {numbers(artist.get_position())}" if artist.get_text() else ""
     if isinstance(artist, Collection):

@@ -186,7 +186,9 @@ def test_frames_and_sheets_look_as_they_did_when_they_were_seen(tmp_path: Path) 
         "clutter": replace(behind, layout=clutter, target_m=[30.0, 10.0, -2.0], decisions=rated),
         "nothing": replace(film, layout=None, hit="x"),
     }  # fmt: skip
-    shown: dict[str, Any] = {f"{name} {place}": [*frames(each)][place] for name, each in of.items() for place in (2, -1)}
+    shown: dict[str, Any] = {
+        f"{name} {place}": [*frames(each)][place] for name, each in of.items() for place in (2, -1)
+    }
     shown["sheet"] = cv2.imread(str(write_contact_sheet(replace(film, hit="x"), tmp_path / "sheet.png")))
     parts = {name: cv2.resize(frame, (32, 18), interpolation=cv2.INTER_AREA) for name, frame in shown.items()}
     if os.environ.get("RECORD"):
