@@ -189,7 +189,7 @@ def dp2_errors(path: Path) -> Report:
     """Images beside those at 1x by metres, degrees and eighths of the pixels; without latency other counts alone."""
     same: Any = {key.upper(): each for key, each in GAME["arrays"].items()}
     calm = dp2_game("lockstep", **same | {"DVS_OFF": REFERENCE["arrays"]["dvs_off"]})
-    games = [GAME, calm, REFERENCE, dp2_game("game", "adsc", 9.0, (1, 0.0), (0, 0.0008))]
+    games = [GAME, calm, REFERENCE, dp2_game("game", "adsc", 9.0, (1, 0.0), (0, 0.0008), lost_wall_s=0.125)]
     games += [dp2_game("game", "adsc", 90.0, (4, 3.0), timing="lockstep"), dp2_game("game", "adsc", 5.0, **CRASHED)]
     games.append(dp2_game("reference", "adsc", 1.0, (0, 0.0), (0, 0.0)))
     return made.dp2(path, games, "perturbation.share=0.1", dvs_preset="noisy", sensor_seed=8)
