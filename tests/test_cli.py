@@ -169,16 +169,22 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Any, ...]]:
             calls.append((place.rpartition(".")[2], *how, *([keys] if keys else [])))
             if place.startswith(("realtime.", "calibration.")):  # whose answer would be told
                 raise UserError("asked")
-            return () if place.endswith("film_game") else 0
+            return () if place.endswith(("film_game", "write_tables", "write_mcap", "write_minari")) else 0
 
         monkeypatch.setattr(f"uavaccel.{place}", call)
 
     for place in (
         "cli.experiments.run_experiment", "cli.experiments.evaluate_agent", "suites.flight.film_game",
         "watch.beside.show", "wire.service.serve", "fly.command.fly_script",
-        "realtime.measure", "realtime.certify", "calibration.calibrate.advise",
+        "realtime.measure", "realtime.certify", "calibration.calibrate.advise", "calibration.calibrate.measure",
+        "calibration.calibrate.check_agreement", "cli.experiments.report_runs", "suites.report.write_tables",
+        "export.write_mcap", "export.write_minari",
     ):  # fmt: skip
         stand_in(place)
+    monkeypatch.setattr("uavaccel.calibration.doctor.check_machine", lambda: {"verdict": "quiet"})
+    monkeypatch.setattr("uavaccel.sim.camera.gl.describe_renderer", lambda: None)
+    monkeypatch.setattr("uavaccel.suites.registry.open_run", str)
+    monkeypatch.setattr("uavaccel.wire.latency.read_latency", str)
     return calls
 
 
@@ -216,6 +222,15 @@ timing certify p.onnx CartPole-v1 --latency t.json --factor 2 --factor 3
 timing certify p.onnx CartPole-v1 --delay 1 --delay 2
 timing advise
 timing advise --t-move 0.5 --error 0.2 --rounds 3 --thinking 0.5 --profile airsim
+timing advise --latency t.yaml
+timing calibrate
+timing calibrate --out l.yaml --commands 70 --profile airsim
+timing calibrate --check
+timing calibrate --check --games 3 --profile airsim --latency t.yaml
+run --report a b --trust
+export run --csv c --parquet p --mcap m
+export run --mcap m --case a
+export run --minari m-v0
 """
 
 
@@ -225,9 +240,10 @@ def test_a_command_asks_for_what_is_typed_and_no_more(asked: list[tuple[Any, ...
     for line in TYPED.strip().splitlines():
         with suppress(UserError):
             typed(line)
-        (name, *given) = asked.pop()
-        said.append(f"uavaccel {line}\n    {name}: {'; '.join(map(given_text, given))}")
-    assert_as_recorded("asked", "\n".join([*said, ""]))
+        said.append(f"uavaccel {line}")
+        said += [f"    {name}: {'; '.join(map(given_text, given))}" for name, *given in asked]
+        asked.clear()
+    assert_as_recorded("asked", "\n".join([*said, ""]).replace(str(ROOT), "ROOT"))
 
 
 def given_text(value: Any) -> str:
@@ -380,6 +396,7 @@ def test_set_has_the_last_word_over_an_option() -> None:
     request = RunRequest("dp1", {"clock_speed": [5.0, 10.0], "games": 3}, ["games=4", "clock_speed.1=20"])
     config = configure(request)[1]
     assert (config.games, config.clock_speed) == (4, (5.0, 20.0))
+    assert request.options["clock_speed"] == [5.0, 10.0], "what was asked for stays"
 
 
 def test_a_resumed_plan_has_the_games_without_a_row(tmp_path: Path) -> None:

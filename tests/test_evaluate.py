@@ -42,6 +42,8 @@ from uavaccel.suites.report import Summary
 from uavaccel.suites.session import RunRequest
 from uavaccel.suites.suite import choose_row
 
+pytestmark = pytest.mark.usefixtures("whole_messages")
+
 LANES = 4
 FIGURE = "figures/figure8_survival.png"
 

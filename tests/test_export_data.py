@@ -34,6 +34,8 @@ from uavaccel.suites.evaluate import Evaluation, game_seed
 from uavaccel.suites.evaluate_again import evaluation_of
 from uavaccel.suites.flight import Commands, Flight, Window
 
+pytestmark = pytest.mark.usefixtures("whole_messages")
+
 mcap_reader = pytest.importorskip("mcap.reader")
 # Minari's import warns where Minari's optional parts are missing.
 minari = pytest.importorskip("minari")
