@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import json
 import os
 import re
 import signal
@@ -10,6 +11,7 @@ import sys
 from collections.abc import Callable, Iterator
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import pytest
@@ -177,6 +179,14 @@ def lane_world(_lane_world: World) -> World:
     return _lane_world
 
 
+@pytest.fixture
+def without_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Write a few bytes in place of a figure, which takes longer than a small run's flights."""
+    from tests.drawing import record_figures  # which loads what draws
+
+    record_figures(monkeypatch)
+
+
 @pytest.fixture(scope="module")
 def trainings_here() -> Iterator[None]:
     """Small trainings are quick."""
@@ -185,6 +195,49 @@ def trainings_here() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         fly_here(patch.setattr)
         yield
+
+
+# --- what mistakes are told ---------------------------------------------------------------------------------------
+
+MESSAGES = Path(__file__).parent / "data/messages.json"
+# What another run has otherwise.
+ELSEWHERE = re.compile(
+    r"0x[0-9a-f]{6,}|(?<=127\.0\.0\.1:)\d+|\d+(?= on this machine| cores)|(?<=the connection)(?:: .*)?$"
+)
+_told: list[str] = []  # in the present test
+
+
+@cache
+def recorded_messages() -> dict[str, dict[str, list[str]]]:
+    """By test function, and by what stands in brackets after it."""
+    return dict(json.loads(MESSAGES.read_text(encoding="utf-8")))
+
+
+@pytest.fixture
+def whole_messages(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[None]:
+    """Hold what mistakes are told in a test, of which it looks for a part, whole, as recorded."""
+    _told.clear()
+    raises = type(pytest.raises(UserError))
+    leave = raises.__exit__
+
+    def left(raised: Any, kind: Any, value: Any, trace: Any) -> bool:
+        _told.extend([str(value)] * isinstance(value, UserError))
+        return leave(raised, kind, value, trace)
+
+    monkeypatch.setattr(raises, "__exit__", left)
+    yield
+    places = {str(tmp_path): "HERE", str(tmp_path.parent): "THERE", str(Path(__file__).parents[1]): "ROOT"}
+    of_places = re.compile("|".join(map(re.escape, places)))
+    told = [ELSEWHERE.sub("N", of_places.sub(lambda place: places[place[0]], said)) for said in _told]
+    if hasattr(request.function, "hypothesis"):
+        return
+    test, _, case = request.node.name.partition("[")
+    test, recorded = f"{request.module.__name__.rpartition('.')[2]}.{test}", recorded_messages()
+    if os.environ.get("RECORD") and told:
+        recorded.setdefault(test, {})[case] = told
+        lines = (f"{json.dumps(name)}: {json.dumps(recorded[name], ensure_ascii=False)}" for name in sorted(recorded))
+        MESSAGES.write_text("{" + ",\n".join(lines) + "}\n", encoding="utf-8")
+    assert recorded.get(test, {}).get(case, []) == told
 
 
 # --- code of one's own ------------------------------------------------------------------------------------------
@@ -226,6 +279,7 @@ def said(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) ->
             cli.main()
         error = capsys.readouterr().err
         assert error.count("\n") <= 1, error
-        return error.removeprefix("uavaccel: error: ").strip()
+        _told.append(error.removeprefix("uavaccel: error: ").strip())
+        return _told[-1]
 
     return run

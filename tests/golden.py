@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import difflib
 import os
-import textwrap
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -39,8 +38,7 @@ def assert_as_recorded(name: str, text: str) -> None:
 
 
 def report_text(report: Report, figures: Mapping[str, Figure]) -> str:
-    """A report that is written, as text; `figures` are those of `record_figures`."""
-    report.write()
+    """A report that has been written, as text; `figures` are those of `record_figures`."""
     page = (report.run.path / "report.md").read_text(encoding="utf-8").partition("\n## Provenance")[0]
     page = page.replace(str(report.run.path.parent), "RUNS")
     return "\n".join([page, "## summary.json\n", *_tree(report.summary), *figures_text(figures)]) + "\n"
@@ -49,7 +47,8 @@ def report_text(report: Report, figures: Mapping[str, Figure]) -> str:
 def figures_text(figures: Mapping[str, Figure]) -> Iterator[str]:
     """Lines that describe figures."""
     for name, figure in figures.items():
-        yield f"\n## {name}: {figure.get_suptitle()} | {figure.get_supxlabel()}"
+        size_in = " x ".join(map(_number, figure.get_size_inches()))
+        yield f"\n## {name}, {size_in} in: {figure.get_suptitle()} | {figure.get_supxlabel()}"
         for axes in figure.axes:
             yield from _axes(axes)
         yield from (f"legend: {_legend(legend)}" for legend in figure.legends)
@@ -77,9 +76,13 @@ def _artist(artist: Any) -> str:
         data: Any = artist.get_data_3d() if hasattr(artist, "get_data_3d") else artist.get_data()
         look = f"{to_hex(artist.get_color())} {artist.get_linestyle()} {artist.get_marker()} {artist.get_drawstyle()}"
         alpha = "" if artist.get_alpha() is None else f" {artist.get_alpha():.3g}"
-        return f"line {look}{alpha}: {' | '.join(map(numbers, data))}" if len(data[0]) else ""
+        width = (
+            f" {artist.get_linewidth():g} wide" if artist.get_linestyle() != "None" else f" {artist.get_markersize():g}"
+        )
+        return f"line {look}{width}{alpha}: {' | '.join(map(numbers, data))}" if len(data[0]) else ""
     if isinstance(artist, Annotation):
-        return f"note {artist.get_text()!r} {numbers(artist.xy)} from {numbers(artist.xyann)}"
+        colour = to_hex(artist.get_color())
+        return f"note {artist.get_text()!r} {colour} {numbers(artist.xy)} from {numbers(artist.xyann)}"
     if hasattr(artist, "get_text"):
         return f"text {artist.get_text()!r} {numbers(artist.get_position())}" if artist.get_text() else ""
     if isinstance(artist, Collection):
@@ -129,11 +132,11 @@ def _number(value: float) -> str:
 
 
 def _tree(summary: Mapping[str, Any]) -> Iterator[str]:
-    """Plain data, a paragraph for each key; entries of lists of mappings begin lines of their own."""
+    """Plain data, a line for each key, and for each entry of a list of mappings."""
     for key, value in summary.items():
         entries = value if _is_list(value) and any(isinstance(each, Mapping) for each in value) else [value]
         for entry in entries:
-            yield textwrap.fill(f"{key}: {plain(entry)}", 118, subsequent_indent="    ", break_long_words=False)
+            yield f"{key}: {plain(entry)}"
 
 
 def _is_list(value: Any) -> bool:

@@ -50,7 +50,7 @@ def phases(*seconds: float) -> dict[str, float]:
 
 
 def line_arrays(row: Mapping[str, Any]) -> dict[str, np.ndarray]:
-    """The samples of a `line_row`: at 1 m/s beside the x axis, on a grid that all share.
+    """The samples of a `line_row`: at 1 m/s beside the x axis, rising 1.5 times as fast, on a grid that all share.
 
     Two such flights d metres aside have an STLC of 1 + e^-d and an RMSE of d.
     """
@@ -58,7 +58,7 @@ def line_arrays(row: Mapping[str, Any]) -> dict[str, np.ndarray]:
     starts = np.concatenate([[0.0], np.cumsum(1.0 + np.array(row["gaps_s"]))])
     return {
         "time_s": time_s,
-        "position_m": np.column_stack([time_s, np.full(81, row["offset_m"]), np.full(81, -10.0)]),
+        "position_m": np.column_stack([time_s, np.full(81, row["offset_m"]), -10.0 - 1.5 * time_s]),
         "orientation_wxyz": np.tile([1.0, 0.0, 0.0, 0.0], (81, 1)),
         "linear_velocity_m_s": np.tile(row.get("velocity_m_s", [row["clock_speed"]] * 3), (81, 1)),
         "angular_velocity_rad_s": np.zeros((81, 3)),
@@ -193,7 +193,7 @@ def evaluated(path: Path, *rows: Row, task: dict[str, Any] | None = None, **keys
     """A run with a row for each game, of lanes 0, 1, ... and lost by default."""
     plain = {"agent": "straight", "task": {"split": "evaluation", "timing": "virtual", **(task or {})}} | keys
     usual: Row = {"collision": None, "commands": 3, "is_success": False, "wall_s": 0.5, "distance_m": 9.0}
-    usual |= {"phase_s": dict.fromkeys(PHASES, 0.1)}
+    usual |= {"phase_s": phases(0.1, 0.02, 0.3, 0.04, 0.005)}
     flown = [
         usual
         | {"case": f"lane-{row.get('lane', lane):06d}", "lane": lane, "sim_time_s": 10.0 + lane}
@@ -271,11 +271,11 @@ def rl(path: Path, rows: Sequence[Row], took_s: Sequence[float] = (), **options:
 
 
 def thinking_row(agent: str, command: str, latency_s: float, clock_speed: float, mean: float, **keys: Any) -> Row:
-    """An evaluation of two episodes that return 2 less and 2 more than the mean."""
+    """An evaluation of three episodes that return 1 and .5 less and 1.5 more than the mean."""
     case = f"{agent}-{command}-{latency_s:g}-{clock_speed:g}-{keys.get('seed', 0)}"
     row: Row = {"kind": "evaluation", "case": case, "timing": "virtual", "environment": "pendulum", "agent": agent}
     row |= {"seed": 0, "command": command, "latency_s": latency_s, "clock_speed": clock_speed, "late_s": 0.0}
-    return row | {"returns": [mean - 2, mean + 2], "delays_s": [latency_s * clock_speed] * 2} | keys
+    return row | {"returns": [mean - 1, mean - 0.5, mean + 1.5], "delays_s": [latency_s * clock_speed] * 3} | keys
 
 
 def realtime(path: Path, *rows: Row, **options: Any) -> Report:
@@ -283,5 +283,5 @@ def realtime(path: Path, *rows: Row, **options: Any) -> Report:
         "environments={pendulum: {id: InvertedPendulum-v5, train_steps: 512}}",
         "agents={naive: {}, chunk: {chunk: 2}}",
     )
-    more = "latency_s=[0, 0.05]", "clock_speed=[1, 4]", "episodes=2"
+    more = "latency_s=[0, 0.05]", "clock_speed=[1, 4]", "episodes=3"
     return run_of(path, Realtime(), configured("realtime_smoke", *keys, *more, **options), rows)

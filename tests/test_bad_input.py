@@ -1,55 +1,59 @@
 """What cannot be meant is refused before anything is flown or written: one line, which names the key or option.
 
-The table is of command lines; `{...}` is a file of that text, whose name stands in the command line.
+`{...}` in a command line is a file of that text, whose name stands there.
 """
 
 from __future__ import annotations
 
+import re
 import sys
 from collections.abc import Callable, Iterator
+from itertools import groupby
 from pathlib import Path
+from typing import Any, cast
 
 import pytest
-import typer
+import typer.main
 
+from tests.golden import assert_as_recorded
 from uavaccel.cli import main as cli
 
 LAUGHS = "a: &a [1,1,1,1,1,1,1,1,1,1]\n" + "".join(
     f"{name}: &{name} [{','.join(['*' + before] * 10)}]\n" for before, name in zip("abcdefgh", "bcdefghi", strict=True)
 )  # fmt: skip
 
-# What belongs together and does not fit: a line of the command, and what is said of it.
+# What belongs together and does not fit.
 COMBINATIONS = """
-run ablation --set variants=[{name: a, changes: {latency.platform.tik_us: 1.0}}] -> 'tick_us'
-run ablation --set variants=[{name: a}, {name: a}] -> has a twice
-run ablation --set variants=[] -> variants
-run ablation --set base.rounds=[0] -> base: rounds
-run sweep --set sweep={wind: [99]} -> task.difficulty.wind_m_s = 99
-run sweep --set sweep={wind: [1, 1.0]} -> each once
-run sweep --set sweep={wind: []} -> needs values
-run sweep --set sweep={nothing: [1]} -> is unknown
-run sweep --set sweep={task.nothing: [1]} -> --sweep task.nothing: uavaccel/ObstacleLane-v0 has no task.nothing; known:
-run sweep --set sweep={command: [fly]} -> task.command
-run robustness --set latency_scale=[-1] -> latency_scale.0 = -1: should be greater than or equal to 0
-run robustness --set latency_scale=[1, 1] -> has 1 twice
-run robustness --set evaluation.keys={task.histry: 1} -> unknown key 'task.histry'
-run robustness --set evaluation.experiment=dp1 -> dp1
-run dp2 --set dvs_rate_hz=100 --set reference_timing=wall -> dvs_rate_hz needs timing and reference_timing virtual
-run dp2 --set lane=nowhere.yaml -> --set: lane: nowhere.yaml: No such file
-run robustness --set agent="a\\0b" -> the name of a file has a null byte in it
-run robustness --set agent=nowhere -> nowhere: holds no policy
-train --set task.timing=wall --set environments=2 -> environments must be 1 with timing wall
-train --set algorithm=sb3_ppo --set start_from=default -> start_from needs algorithm double_dqn, not sb3_ppo
-train --set algorithm=sb3_dqn --set mirror=false --set mirrored_decisions=true -> needs algorithm double_dqn
-train --set task.observation=state -> mirror must be false
-train --set task.headings_deg=[0.0, 30.0] -> mirror must be false
-train --set gamess=3 -> unknown key 'gamess'; did you mean 'games'?
-evaluate straight --set simulator=kernels --set task.timing=wall -> timing wall needs a server of its own
-evaluate straight --set simulator=kernels --set task.timing=lockstep --set environments=2 -> needs simulator mujoco
-evaluate straight --set device=cuda -> device = cuda: simulator = mujoco flies on the CPU
-evaluate straight --set simulator=airsim -> simulator
-evaluate straight --set environments=2 --set task.timing=wall -> environments must be 1 with timing wall
-evaluate straight --set first_lane=999_999 --set games=2 -> first_lane = 999999 and games = 2: lanes are 0 to 999999
+run ablation --set variants=[{name: a, changes: {latency.platform.tik_us: 1.0}}]
+run ablation --set variants=[{name: a}, {name: a}]
+run ablation --set variants=[]
+run ablation --set base.rounds=[0]
+run sweep --set sweep={wind: [99]}
+run sweep --set sweep={wind: [1, 1.0]}
+run sweep --set sweep={wind: []}
+run sweep --set sweep={nothing: [1]}
+run sweep --set sweep={task.nothing: [1]}
+run sweep --set sweep={command: [fly]}
+run robustness --set latency_scale=[-1]
+run robustness --set latency_scale=[1, 1]
+run robustness --set evaluation.keys={task.histry: 1}
+run robustness --set evaluation.experiment=dp1
+run dp2 --set dvs_rate_hz=100 --set reference_timing=wall
+run dp2 --set lane=nowhere.yaml
+run robustness --set agent="a\\0b"
+run robustness --set agent=nowhere
+train --set task.timing=wall --set environments=2
+train --set algorithm=sb3_ppo --set start_from=default
+train --set algorithm=sb3_dqn --set mirror=false --set mirrored_decisions=true
+train --set task.observation=state
+train --set task.headings_deg=[0.0, 30.0]
+train --set gamess=3
+evaluate straight --set simulator=kernels --set task.timing=wall
+evaluate straight --set simulator=kernels --set task.timing=lockstep --set environments=2
+evaluate straight --set device=cuda
+evaluate straight --set simulator=airsim
+evaluate straight --set environments=2 --set task.timing=wall
+evaluate straight --set first_lane=999_999 --set games=2
 """
 
 # By command: a key and the values that it refuses, whose complaint has the key's last word.
@@ -125,135 +129,115 @@ command = [none]
     "run paper --set": "parts = {} | {dp9-native: {experiment: dp1}}; claims = nowhere.yaml",
 }
 OTHERS = [
-    ("train --set task.lane={obstacles: [], wind_m_s: [1e9, 0, 0]}", "wind"),
-    ("train --set task.lane={obstacles: [], wind_m_s: [0, 0]}", "wind"),
-    ("train --set task.lane={obstacles: [{x_m: 0.1, y_m: 0, radius_m: 1}]}", "obstacle"),
-    ("run dp2 --set lane={obstacles: [{x_m: 0.1, y_m: 0, radius_m: 1}]}", "obstacle"),
-    ("run dp2 --set lane={obstacles: [], wind_m_s: [1e9, 0, 0]}", "wind"),
-    ("train --set options={batch_size: 100, buffer_size: 99}", "batch_size"),
-    (f"train --set task.headings_deg={[*range(-180, 181)]}", "headings_deg"),
-    ("train --set task.lane=nowhere.yaml", "nowhere.yaml"),
-    ("run dp2 --set lane=nowhere.yaml", "nowhere.yaml"),
-    *[(f"evaluate straight --set agent={name}", name) for name in ("x", "offset:inf", "offset:left", "offset:11")],
-    ("run robustness --set agent=nowhere", "nowhere"),
-    ("run paper --set with_run=nowhere", "--with nowhere"),
-    *[(f"{command} --set task={name}", f"task = {name}") for command in ("train", "evaluate") for name in ("'so'", 3)],
-    (f"run dp1 --out {'x' * 300}", "--out"),
-    (f"run dp1 --games 1{'0' * 400}", "games"),
-]  # fmt: skip
-
-FILES = [
-    ("run {suite: [dp1]}", "suite"),
-    ("run {suite: evaluate\ntask: 3}", "task"),
-    ("run {suite: train\ntask: 3}", "task"),
-    ("run {suite: train\nmirror: false\ntask: [1, 2]}", "task"),
-    ("run {games: 3}", "suite"),
-    ("run {}", "nothing"),
-    ("run {3}", "mapping"),
-    ("run {- dp1}", "mapping"),
-    ("run {suite: dp1\nsuite: dp2}", "suite"),
-    ("run {suite: 'dp1}", "line"),
-    ("run {\x00}", "YAML"),
-    ("run {? [a]\n: b}", "key"),
-    ("run {suite: !!python/object/apply:os.system ['true']}", "line"),
-    ("run {" + LAUGHS + "suite: dp1\nclock_speed: *i}", "alias"),
-    ("run {suite: " + "[" * 100_000 + "}", "nest"),
-    ("run {suite: dp1\ngames: " + "9" * 5000 + "}", "digits"),
-    ("run {suite: dp1\n1: 2}", "1"),
-    ("run {suite: ':'}", "suite"),
-    ("run {suite: ':Suite'}", "suite"),
-    ("run {suite: 'json:'}", "suite"),
-    ("run {suite: '..json:loads'}", "suite"),
-    ("run {suite: 'json:loads'}", "suite"),
-    ("run {suite: 'uavaccel.suites.suite:Suite'}", "suite"),
-    ("run {suite: 'uavaccel.units:.x'}", "suite"),
-    ("run {suite: dp1\n\tgames: 2}", "line 2"),
-    ("run {suite: dp1\n---\nsuite: dp2}", "document"),
-    ("run {suite: dp1\nseed: !!timestamp 2020-01-01}", "line 2"),
-    ("run {suite: dp1\npath: !!set {a, b}}", "line 2"),
-    ("run {suite: dp1\ngames: !!binary aGk=}", "line 2"),
-    ("run nowhere.yaml", "nowhere.yaml"),
-    ("run nowhere", "nowhere"),
-    ("train nowhere.yaml", "nowhere.yaml"),
+    "train --set task.lane={obstacles: [], wind_m_s: [1e9, 0, 0]}",
+    "train --set task.lane={obstacles: [], wind_m_s: [0, 0]}",
+    "train --set task.lane={obstacles: [{x_m: 0.1, y_m: 0, radius_m: 1}]}",
+    "run dp2 --set lane={obstacles: [{x_m: 0.1, y_m: 0, radius_m: 1}]}",
+    "run dp2 --set lane={obstacles: [], wind_m_s: [1e9, 0, 0]}",
+    "train --set options={batch_size: 100, buffer_size: 99}",
+    f"train --set task.headings_deg={[*range(-180, 181)]}",
+    *("train --set task.lane=nowhere.yaml", "run dp2 --set lane=nowhere.yaml", "run robustness --set agent=nowhere"),
+    *(f"evaluate straight --set agent={name}" for name in ("x", "offset:inf", "offset:left", "offset:11")),
+    "run paper --set with_run=nowhere",
+    *(f"{command} --set task={name}" for command in ("train", "evaluate") for name in ("'so'", 3)),
+    *(f"run dp1 --out {'x' * 300}", f"run dp1 --games 1{'0' * 400}"),
+    *("run nowhere.yaml", "run nowhere", "train nowhere.yaml"),
 ]
 
-# Command lines, and the word that the complaint has.
+# What the file of an experiment holds.
+FILES = [
+    *("suite: [dp1]", "suite: evaluate\ntask: 3", "suite: train\ntask: 3", "suite: train\nmirror: false\ntask: [1, 2]"),
+    *("games: 3", "", "3", "- dp1", "suite: dp1\nsuite: dp2", "suite: 'dp1", "\x00", "? [a]\n: b"),
+    *("suite: !!python/object/apply:os.system ['true']", LAUGHS + "suite: dp1\nclock_speed: *i"),
+    *("suite: " + "[" * 100_000, "suite: dp1\ngames: " + "9" * 5000, "suite: dp1\n1: 2", "suite: ':'"),
+    *("suite: ':Suite'", "suite: 'json:'", "suite: '..json:loads'", "suite: 'json:loads'"),
+    *("suite: 'uavaccel.suites.suite:Suite'", "suite: 'uavaccel.units:.x'", "suite: dp1\n\tgames: 2"),
+    *(f"suite: dp1\n{line}" for line in ("seed: !!timestamp 2020-01-01", "path: !!set {a, b}", "games: !!binary aGk=")),
+    "suite: dp1\n---\nsuite: dp2",
+]
+
+# Command lines.
 OPTIONS = """
-run -> experiment; run dp1 --jobs 0 -> --jobs; run dp1 --jobs -1 -> --jobs; run dp1 --jobs 1000000000 -> --jobs
-run dp1 --jobs 1000 --timing virtual -> --jobs; evaluate straight --jobs 1000 -> --jobs
-run dp1 --jobs 2 --timing wall -> --jobs; run train --jobs 2 -> --jobs; run dp1 --jobs two -> --jobs
-run dp1 --clock fast -> --clock; run dp1 --clock 0 -> clock_speed; run dp1 --clock nan -> clock_speed
-run dp1 --clock inf -> clock_speed; run dp1 --rounds 0 -> rounds; run dp1 --t-move 0 -> t_move_s
-run dp1 --games -1 -> games; run dp1 --command tcsc --command fly -> fly: must be adsc or tcsc
-run dp1 --seeds 2 -> --seeds
-run dp1 --with x -> --with; run dp2 --rounds 2 -> --rounds; run train --clock 1 --clock 2 -> --clock
-run dp1 --set games -> --set; run dp1 --set =3 -> --set; run dp1 --set .games=3 -> --set
-run dp1 --set games.=3 -> --set; run dp1 --set games.more=3 -> games; run dp1 --set clock_speed.9=3 -> clock_speed
-run dp1 --set games=[ -> --set; run dp1 --set games={a:&a,b:*a} -> games; run dp1 --speed 3 -> --speed
-run dp1 dp2 -> dp2; run dp1 --out . -> exists; run dp1 --out there.txt -> exists; run dp1 --out there.txt/run -> --out
-run dp1 --resume --out there.txt -> no folder; watch --host nowhere.invalid -> nowhere.invalid
-watch --host= -> --host; serve --host= -> --host; serve --recordings there.txt -> --recordings; run --resume -> --out
-run dp1 --resume -> --out FOLDER; train --resume -> --out; run --resume --out nowhere -> nowhere
-run --out nowhere -> experiment; train --resume --out nowhere -> nowhere; train --games 0 -> games
-train --clock -1 -> clock_speed; train --profile unreal -> profile; train --timing soon -> timing
-evaluate nowhere -> nowhere; evaluate offset:nan -> offset:nan; evaluate offset:1e308 -> offset:1e308
-evaluate straight --against nowhere -> nowhere; evaluate straight --jobs 0 -> --jobs
-evaluate straight --seed -1 -> seed; evaluate --resume --out nowhere -> nowhere; run --report nowhere -> nowhere
-run --report -> run directory; run --report nowhere --games 3 -> --report; watch nowhere -> nowhere
-watch nowhere --film f.mp4 -> nowhere; watch default --film f.mp4 --case lane -> --case
-watch default --case lane-000007 --game 3 -> --case, --game: each names the flight
-watch default --seed 0 -> --seed: is of the square; watch default --film f.mp4 --port 9 -> --port: is of the page
-watch default --film f.mp4 --case lane-9999999 -> lane; watch default --film f.png -> .mp4; watch --film f.mp4 -> --film
-report nowhere -> uavaccel run --report RUN_DIR; view -> uavaccel watch RUN --film FILE; advise -> timing advise
-schema train -> uavaccel init --schema SUITE; calibrate -> uavaccel timing calibrate; init -> folder
-timing calibrate --commands 0 -> --commands; timing calibrate --commands -5 -> --commands
-timing calibrate --commands 1000000000000 -> --commands; timing calibrate --profile unreal -> --profile
-timing calibrate --out nowhere/latency.yaml -> --out; timing calibrate --out there.txt -> exists
-timing calibrate --check --games 0 -> --games; timing calibrate --check --profile unreal -> --profile
-timing calibrate --check --latency nowhere.yaml -> nowhere.yaml; timing advise --t-move 0 -> --t-move
-timing advise --t-move 0.333 -> --t-move: 0.333 s is not a positive multiple; timing advise --t-move nan -> --t-move
-timing advise --profile airsim --t-move 0.003 -> --t-move: 0.003 s is too short for the airsim profile
-timing advise --t-move 1e308 -> --t-move; timing advise --error 0 -> --error
-timing advise --error nan -> --error; timing advise --rounds 0 -> --rounds; timing advise --rounds 1001 -> --rounds
-timing advise --profile unreal -> --profile; timing advise --latency nowhere.yaml -> nowhere.yaml
-timing advise --thinking 0 -> --thinking; timing advise --thinking nan -> --thinking
-bench nothing -> nothing; bench --soak-s -1 -> --soak-s; bench --soak-s nan -> --soak-s
-bench batch --lanes 0 -> --lanes
-bench hot-loop --out nowhere/bench.json -> --out; serve --clock 0 -> clock
-serve --clock nan -> clock; serve --port 99999 -> port; serve --port -1 -> port
-serve --speed 3 -> --speed; serve --clock fast -> --clock
-serve --host nowhere.invalid -> nowhere.invalid; serve --profile unreal -> profile; serve --scene moon -> moon
-serve --settings nowhere.json -> nowhere.json; serve --settings there.txt -> there.txt; doctor --all -> --all
-fly -> script; fly --seed -1 there.txt -> --seed; fly --seed 4294967296 there.txt -> --seed
-fly --think inf there.txt -> --think; fly --think nan there.txt -> --think; fly --think -1 there.txt -> --think
-fly --until nan there.txt -> --until; fly --until inf there.txt -> --until; fly --clock 1e9 there.txt -> --clock
-fly --clock 1,inf there.txt -> --clock; fly --clock nan there.txt -> --clock; fly --clock 1,0 there.txt -> --clock
-fly --timing wall --think 0 there.txt -> --think; fly --timing wall --film there.txt -> --film
-fly --check --timing wall there.txt -> --check; fly --check --clock 1,2 there.txt -> --check
-fly --clock 1,1 there.txt -> --clock; fly --clock 1,1.0000001 there.txt -> --clock; export default --csv= -> --csv
-export default --mcap= --csv there -> --mcap; run dp1 --out= -> --out; watch --host= -> --host; train dp1 -> dp1
-train dp2 --dry-run -> dp2; train rl -> rl
-evaluate straight --sweep wind=0 --sweep wind=3 -> --sweep; evaluate straight --sweep wind=0 --against x -> --against
+run; run dp1 --jobs 0; run dp1 --jobs -1; run dp1 --jobs 1000000000; run dp1 --jobs 1000 --timing virtual
+evaluate straight --jobs 1000; run dp1 --jobs 2 --timing wall; run train --jobs 2; run dp1 --jobs two
+run dp1 --clock fast; run dp1 --clock 0; run dp1 --clock nan; run dp1 --clock inf; run dp1 --rounds 0
+run dp1 --t-move 0; run dp1 --games -1; run dp1 --command tcsc --command fly; run dp1 --seeds 2; run dp1 --with x
+run dp2 --rounds 2; run train --clock 1 --clock 2; run dp1 --set games; run dp1 --set =3; run dp1 --set .games=3
+run dp1 --set games.=3; run dp1 --set games.more=3; run dp1 --set clock_speed.9=3; run dp1 --set games=[
+run dp1 --set games={a:&a,b:*a}; run dp1 --speed 3; run dp1 dp2; run dp1 --out .; run dp1 --out there.txt
+run dp1 --out there.txt/run; run dp1 --resume --out there.txt; watch --host nowhere.invalid; watch --host=
+serve --host=; serve --recordings there.txt; run --resume; run dp1 --resume; train --resume
+run --resume --out nowhere; run --out nowhere; train --resume --out nowhere; train --games 0; train --clock -1
+train --profile unreal; train --timing soon; evaluate nowhere; evaluate offset:nan; evaluate offset:1e308
+evaluate straight --against nowhere; evaluate straight --jobs 0; evaluate straight --seed -1
+evaluate --resume --out nowhere; run --report nowhere; run --report; run --report nowhere --games 3; watch nowhere
+watch nowhere --film f.mp4; watch default --film f.mp4 --case lane; watch default --case lane-000007 --game 3
+watch default --seed 0; watch default --film f.mp4 --port 9; watch default --film f.mp4 --case lane-9999999
+watch default --film f.png; watch --film f.mp4; report nowhere; view; advise; schema train; calibrate; init
+timing calibrate --commands 0; timing calibrate --commands -5; timing calibrate --commands 1000000000000
+timing calibrate --profile unreal; timing calibrate --out nowhere/latency.yaml; timing calibrate --out there.txt
+timing calibrate --check --games 0; timing calibrate --check --profile unreal
+timing calibrate --check --latency nowhere.yaml; timing advise --t-move 0; timing advise --t-move 0.333
+timing advise --t-move nan; timing advise --profile airsim --t-move 0.003; timing advise --t-move 1e308
+timing advise --error 0; timing advise --error nan; timing advise --rounds 0; timing advise --rounds 1001
+timing advise --profile unreal; timing advise --latency nowhere.yaml; timing advise --thinking 0
+timing advise --thinking nan; bench nothing; bench --soak-s -1; bench --soak-s nan; bench batch --lanes 0
+bench hot-loop --out nowhere/bench.json; serve --clock 0; serve --clock nan; serve --port 99999; serve --port -1
+serve --speed 3; serve --clock fast; serve --host nowhere.invalid; serve --profile unreal; serve --scene moon
+serve --settings nowhere.json; serve --settings there.txt; doctor --all; fly; fly --seed -1 there.txt
+fly --seed 4294967296 there.txt; fly --think inf there.txt; fly --think nan there.txt; fly --think -1 there.txt
+fly --until nan there.txt; fly --until inf there.txt; fly --clock 1e9 there.txt; fly --clock 1,inf there.txt
+fly --clock nan there.txt; fly --clock 1,0 there.txt; fly --timing wall --think 0 there.txt
+fly --timing wall --film there.txt; fly --check --timing wall there.txt; fly --check --clock 1,2 there.txt
+fly --clock 1,1 there.txt; fly --clock 1,1.0000001 there.txt; export default --csv=
+export default --mcap= --csv there; run dp1 --out=; train dp1; train dp2 --dry-run; train rl
+evaluate straight --sweep wind=0 --sweep wind=3; evaluate straight --sweep wind=0 --against x; watch --case a --game 1
+watch run --clock 5; watch run --think 1; watch run --seed 1; watch run --film f.mp4 --host ::1
+watch run --film f.mp4 --port 9; watch --case a; watch --game 0; watch run --film f.avi; watch . --film f.mp4
+export .; export . --csv f --case a; export . --csv f; export nowhere --onnx f.onnx; timing advise --thinking 90000
+timing advise --t-move 0.001; timing certify p.onnx CartPole-v1 --latency a --latency b
+timing certify p.onnx CartPole-v1 --latency a --latency 1; timing certify p.onnx CartPole-v1 --factor 2
+timing certify p.onnx CartPole-v1 --set env=2; timing certify p.onnx CartPole-v1 --set chnk=2
+timing certify default CartPole-v1 --delay 1; timing certify there.py:act none.such:CartPole-v1 --delay 1
+timing measure there.py:act CartPole-v1 --out there.py; timing calibrate --out there.py; timing nothing; init .
+init --schema nothing; run --report .; run --report runs/a --jobs 1 --set a=1; run --resume --out .
+run train --clock 5 --clock 10 --dry-run; run dp1 --clock 5 --clock x; run dp1 --with .; run dp1 --seeds 3
+run dp1 --set clock_speed.0=5; run dp1 --set clock_sped=5; evaluate --watch --set simulator=kernels; evaluate --resume
+evaluate given.yaml --sweep wind=1; evaluate straight --sweep wind=1 --against .; evaluate straight --sweep wind
+evaluate straight --sweep wind=1 --sweep wind=2; evaluate straight --against .; evaluate straight --command both
+evaluate train --dry-run --set suite=train; train --seeds 0; train --seed 1.5; train --set games
+train --set task.clock_sped=2; train --set task.t_move_s=1.001
+train --set task.history=2 --clock 2 --set task.t_move_s=1.001; train --out=; report .; view .; schema dp1; flow
 """
 
 
-def table() -> Iterator[tuple[str, str]]:
-    """Yield command lines, and the word that the complaint about each has to have."""
+def beyond(option: Any) -> list[str]:
+    """What an option refuses: numbers next to its bounds, and a word that it does not know."""
+    ends = [(option.min, -1), (option.max, 1)] if hasattr(option, "min") else []
+    numbers = [str(end + step) for end, step in ends if end is not None]
+    kind = option.type_descriptor.annotation
+    return [*numbers, *["x"] * (kind in (int, float) or "|" in (option.metavar or ""))]
+
+
+def of_each_option() -> Iterator[list[str]]:
+    """Yield a command's lines with one of its options."""
+    top = cast(Any, cli.app).commands
+    for name, command in {**top, **{f"timing {name}": each for name, each in top["timing"].commands.items()}}.items():
+        given = " ".join("x" for each in command.params if each.param_type_name == "argument" and each.required)
+        options = [each for each in command.params if each.param_type_name == "option" and not each.is_flag]
+        yield [f"{name} {each.opts[0]} {value} {given}" for each in options for value in beyond(each)]
+
+
+def table() -> Iterator[list[str]]:
+    """Yield command lines, a few at a time."""
     for command, text in CONFIGURATIONS.items():
-        for entry in text.strip().replace("\n", "; ").split("; "):
-            key, _, values = entry.partition(" = ")
-            for value in values.split(" | "):
-                yield f"{command} {key}={value}", key.split(".")[-1]
-    for entry in OPTIONS.strip().replace("\n", "; ").split("; "):
-        line, _, word = entry.partition(" -> ")
-        yield line, word
-    for entry in COMBINATIONS.strip().splitlines():
-        line, _, said = entry.partition(" -> ")
-        yield line, said
-    yield from (*OTHERS, *FILES)
-
-
-TABLE = [*table()]
+        entries = [entry.partition(" = ") for entry in text.strip().replace("\n", "; ").split("; ")]
+        yield [f"{command} {key}={value}" for key, _, values in entries for value in values.split(" | ")]
+    yield from of_each_option()
+    yield from (
+        [*lines] for _, lines in groupby(OPTIONS.strip().replace("\n", "; ").split("; "), lambda line: line[:5])
+    )
+    yield from (COMBINATIONS.strip().splitlines(), OTHERS, [f"run {{{text}}}" for text in FILES])
 
 
 class Flown(Exception):
@@ -285,6 +269,11 @@ def _nothing_flies() -> Iterator[None]:
     patch.undo()
 
 
+OF_THE_MACHINE = re.compile(
+    r"\d+ on this machine's \d+ cores|(?<=nowhere\.invalid:\d{4}: )[^;]+|(?<=invalid:41451: )[^;]+"
+)
+
+
 def words(line: str, folder: Path) -> list[str]:
     """Of a command line; the text in braces after `run` becomes a file, the last `--set` takes the rest of the line."""
     if line.startswith("run {"):
@@ -294,23 +283,27 @@ def words(line: str, folder: Path) -> list[str]:
     return [*head.split(), "--set", value] if setting and " --" not in value else line.split()
 
 
-@pytest.mark.parametrize(("line", "key"), TABLE, ids=[line[:60] for line, _ in TABLE])
 def test_bad_input_is_one_line_and_nothing_is_written(
-    line: str, key: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    """The lines are recorded with the exit status of each."""
     monkeypatch.chdir(tmp_path)
-    (tmp_path / "there.txt").write_text("mine")
-    monkeypatch.setattr(sys, "argv", ["uavaccel", *words(line, tmp_path)])
+    for name in ("there.txt", "there.py", "given.yaml"):
+        (tmp_path / name).write_text("def act(seen): ...")
     before = sorted(tmp_path.rglob("*"))
-    with pytest.raises(SystemExit) as ended:
-        cli.main()
-    complaint = capsys.readouterr().err
-    assert ended.value.code in (1, 2)
-    assert complaint.startswith("uavaccel: error: ")
-    assert complaint.count("\n") == 1
-    assert key.lower() in complaint.lower()
-    assert len(complaint) < 1000
-    assert sorted(tmp_path.rglob("*")) == before
+
+    def told(line: str) -> str:
+        monkeypatch.setattr(sys, "argv", ["uavaccel", *words(line, tmp_path)])
+        with pytest.raises(SystemExit) as ended:
+            cli.main()
+        complaint = capsys.readouterr().err
+        assert complaint.startswith("uavaccel: error: "), line
+        assert (complaint.count("\n"), len(complaint) < 1000) == (1, True), line
+        assert sorted(tmp_path.rglob("*")) == before, line
+        assert ended.value.code in (1, 2), line
+        return f"{ended.value.code} {OF_THE_MACHINE.sub('OURS', complaint[17:-1]).replace(str(tmp_path), 'HERE')}"
+
+    assert_as_recorded("complaints", "".join(" | ".join(map(told, lines)) + "\n" for lines in table()))
 
 
 @pytest.mark.parametrize("number", ["-1", "0"])

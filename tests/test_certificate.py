@@ -38,7 +38,7 @@ from uavaccel.resources import asset
 from uavaccel.units import NS_PER_S
 from uavaccel.wire.latency import read_latency
 
-pytestmark = pytest.mark.usefixtures("here")
+pytestmark = pytest.mark.usefixtures("here", "whole_messages")
 PERIOD_S = 0.01
 cloudpickle.register_pickle_by_value(sys.modules[__name__])  # or worker processes would load all that these tests do
 

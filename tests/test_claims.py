@@ -11,6 +11,7 @@ import pandas as pd
 import pytest
 from scipy.stats import hypergeom
 
+from tests.golden import assert_as_recorded, plain
 from uavaccel.draw.page import fill
 from uavaccel.envs.stopwatch import PHASES
 from uavaccel.metrics.intervals import Proportion, fisher_exact_p
@@ -347,6 +348,42 @@ BEYOND = "at most 3 cm; DVS-ED 5 % (median), above 3 % in 70.0% of the images, l
 )
 def test_findings_say_their_numbers(claim: str, changes: dict[str, Any], said: str) -> None:
     assert said in verdict(CLAIMS[claim], evidence(**changes))["value"]
+
+
+def uneven(seed: int) -> dict[str, Any]:
+    """Evidence in which nothing is as far apart as anything else, about what the paper describes or beside it."""
+    random = np.random.default_rng(seed)
+
+    def change(cell: dict[str, Any]) -> None:
+        count = random.integers(7, 13)
+        spread = random.gamma(1.0, 0.01 * (1 + np.log(cell["clock_speed"])), count)
+        speedup = cell["effective_speedup"] * random.uniform(0.8, 1.2)
+        best, worse = (1.95, 3) if (cell["command"], cell["clock_speed"]) == ("adsc", 100.0) else (cell["stlc"][0], 1)
+        cell |= {"games": int(count), "stlc": (best - worse * spread).tolist()}
+        cell |= {"effective_speedup": speedup, "effective_speedup_interval": [0.97 * speedup, 1.05 * speedup]}
+        cell["command_gap_median_s"] *= random.uniform(0.7, 1.4)
+
+    rows = [
+        ("tcsc", clock, 0, random.gamma(2.0, 0.001 * clock, 150), random.gamma(1.5, 0.35 * clock, 150))
+        for clock in CLOCKS[1:]
+    ]
+    study = {"images": 400, "streams": 20, "perturbed_share_handed_on": {"off": 0.05, "on": random.uniform(0.02, 0.05)}}
+    shares: dict[str, Any] = {
+        f"{command}{clock:g}": random.uniform(0.05, 0.9) for command in PAPER_TABLE for clock in CLOCKS
+    }
+    speeds: dict[str, Any] = {f"speed{clock:g}": speed * random.uniform(0.8, 1.2) for clock, speed in SPEEDUPS.items()}
+    flown = trained(games=200, seeds=4, scatter=0.01, thinking=random.uniform(0.03, 0.9), **shares, **speeds)
+    ended_m = [each + random.normal(0.0, 1.5, len(each)) for each in flown.distance_m]
+    return {"dp1": trajectories(change), "dp2": dp2_report(rows, study), "rl": flown.assign(distance_m=ended_m)}
+
+
+def test_findings_on_uneven_evidence_are_those_that_were_read() -> None:
+    told = {name: list[str]() for name in CLAIMS}
+    for found in map(uneven, (0, 2)):
+        for name, claim in CLAIMS.items():
+            told[name].append("{verdict}: {value}".format(**verdict(claim, found)))
+        told.setdefault("phases", []).append(" ".join(plain(line) for line in training_phases(found["rl"])))
+    assert_as_recorded("claims", "\n".join(f"{name}: {' | '.join(each)}" for name, each in told.items()) + "\n")
 
 
 def test_games_that_failed_decide_nothing() -> None:

@@ -7,22 +7,25 @@ import re
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable
 from contextlib import nullcontext, suppress
 from dataclasses import is_dataclass, replace
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Annotated, Any, Literal, get_args, get_origin
+from typing import Annotated, Any, Literal, cast, get_args, get_origin
 
 import pytest
+import typer.main
 from pydantic import BaseModel
 from rich.console import Console
+from typer.testing import CliRunner
 
-from tests.golden import assert_as_recorded
+from tests.drawing import record_figures
+from tests.golden import assert_as_recorded, plain
 from tests.running import typed
 from tools.write_cli_reference import reference
 from uavaccel import __version__
 from uavaccel.cli import experiments, terminal
+from uavaccel.cli.main import app
 from uavaccel.cli.options import one_of, shipped
 from uavaccel.cli.terminal import columns_within
 from uavaccel.draw.page import Table
@@ -116,41 +119,17 @@ def test_what_is_complained_of_to_nobody_is_not_printed_elsewhere() -> None:
     assert (done.returncode, done.stdout) == (2, "")
 
 
-@pytest.mark.parametrize(
-    ("line", "complaint"),
-    [
-        ("watch --game -1", "--game -1: should be greater than or equal to 0"),
-        ("watch --port 70000", "--port 70000: should be less than or equal to 65535"),
-        ("train --seed 1.5", "--seed 1.5: should be a valid integer"),
-        ("run dp1 --clock 5 --clock x", "--clock x: should be a valid number"),
-        ("run dp1 --clock 0", "--clock: clock_speed.0 = 0.0: should be greater than or equal to 0.001"),
-        ("train --seeds 0", "--seeds: seeds = 0: should be greater than or equal to 1"),
-        ("train --set task.clock_sped=2", "--set: unknown key 'task.clock_sped'; did you mean 'clock_speed'?"),
-        ("train --set task.t_move_s=1.001",
-         "--set: t_move_s: 1.001 s is not a positive multiple of the physics step of 2 ms; 1 and 1.002 s are"),
-        ("train --set task.history=2 --clock 2 --set task.t_move_s=1.001",
-         "--set: t_move_s: 1.001 s is not a positive multiple of the physics step of 2 ms; 1 and 1.002 s are"),
-        ("run dp1 --set clock_speed.0=5", "--set: clock_speed = [5, 5, 10, 50, 100]: has 5 twice"),
-        ("run train --clock 5 --clock 10 --dry-run", "--clock: train takes one value, not 2"),
-        ("run dp1 dp2", "run: flies one experiment, not 2: dp1, dp2"),
-        ("watch run --film f.avi", "--film f.avi: must end in .mp4"),
-        ("watch --film f.mp4",
-         "--film: name what to film: a run, or a policy, as in uavaccel watch default --film FILE"),
-        ("init", "init: name a new or an empty folder"),
-        ("run --report runs/a --jobs 1 --set a=1",
-         "--report: flies nothing; beside run directories it takes --trust alone, not --jobs"),
-    ],
-)  # fmt: skip
-def test_a_value_that_does_not_fit_is_named(line: str, complaint: str, said: Callable[[str], str]) -> None:
-    assert said(line) == complaint
-
-
 def test_words_of_options_and_experiments_are_completed() -> None:
     words = one_of("wall", "virtual", "lockstep")  # each of which has an l
     assert [words(typed) for typed in ("l", "lockstep", "k")] == [["lockstep"], ["lockstep"], []]
     assert words("") == ["wall", "virtual", "lockstep"]
     assert shipped("dp") == ["dp1", "dp2", "dp2_airsim"]
     assert not {"claims", "latency", "latency_airsim"} & set(shipped(""))
+    for name, command in cast(Any, typer.main.get_command(app)).commands.items():
+        if name != "timing":
+            context = command.make_context(name, [], resilient_parsing=True)
+            for option in [each for each in command.params if "|" in (each.metavar or "")]:
+                assert [each.value for each in option.shell_complete(context, "")] == option.metavar.split("|")
 
 
 # --- what is typed is what is asked for -------------------------------------------------------------------------------
@@ -190,16 +169,22 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Any, ...]]:
             calls.append((place.rpartition(".")[2], *how, *([keys] if keys else [])))
             if place.startswith(("realtime.", "calibration.")):  # whose answer would be told
                 raise UserError("asked")
-            return () if place.endswith("film_game") else 0
+            return () if place.endswith(("film_game", "write_tables", "write_mcap", "write_minari")) else 0
 
         monkeypatch.setattr(f"uavaccel.{place}", call)
 
     for place in (
         "cli.experiments.run_experiment", "cli.experiments.evaluate_agent", "suites.flight.film_game",
         "watch.beside.show", "wire.service.serve", "fly.command.fly_script",
-        "realtime.measure", "realtime.certify", "calibration.calibrate.advise",
+        "realtime.measure", "realtime.certify", "calibration.calibrate.advise", "calibration.calibrate.measure",
+        "calibration.calibrate.check_agreement", "cli.experiments.report_runs", "suites.report.write_tables",
+        "export.write_mcap", "export.write_minari",
     ):  # fmt: skip
         stand_in(place)
+    monkeypatch.setattr("uavaccel.calibration.doctor.check_machine", lambda: {"verdict": "quiet"})
+    monkeypatch.setattr("uavaccel.sim.camera.gl.describe_renderer", lambda: None)
+    monkeypatch.setattr("uavaccel.suites.registry.open_run", str)
+    monkeypatch.setattr("uavaccel.wire.latency.read_latency", str)
     return calls
 
 
@@ -237,6 +222,15 @@ timing certify p.onnx CartPole-v1 --latency t.json --factor 2 --factor 3
 timing certify p.onnx CartPole-v1 --delay 1 --delay 2
 timing advise
 timing advise --t-move 0.5 --error 0.2 --rounds 3 --thinking 0.5 --profile airsim
+timing advise --latency t.yaml
+timing calibrate
+timing calibrate --out l.yaml --commands 70 --profile airsim
+timing calibrate --check
+timing calibrate --check --games 3 --profile airsim --latency t.yaml
+run --report a b --trust
+export run --csv c --parquet p --mcap m
+export run --mcap m --case a
+export run --minari m-v0
 """
 
 
@@ -246,9 +240,10 @@ def test_a_command_asks_for_what_is_typed_and_no_more(asked: list[tuple[Any, ...
     for line in TYPED.strip().splitlines():
         with suppress(UserError):
             typed(line)
-        (name, *given) = asked.pop()
-        said.append(f"uavaccel {line}\n    {name}: {'; '.join(map(given_text, given))}")
-    assert_as_recorded("asked", "\n".join([*said, ""]))
+        said.append(f"uavaccel {line}")
+        said += [f"    {name}: {'; '.join(map(given_text, given))}" for name, *given in asked]
+        asked.clear()
+    assert_as_recorded("asked", "\n".join([*said, ""]).replace(str(ROOT), "ROOT"))
 
 
 def given_text(value: Any) -> str:
@@ -282,23 +277,6 @@ def test_an_option_that_the_script_names_itself_is_its_own(asked: list[Any], tmp
     script.write_text("parser.add_argument('--speed')")  # one letter from --seed
     typed(f"fly {script} --speed 3 --altitude 2 -h")
     assert asked[0][1].flight.arguments == ("--speed", "3", "--altitude", "2", "-h")
-
-
-def test_several_runs_of_a_suite_are_compared(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    done: list[tuple[str, ...]] = []
-
-    def compare(runs: list[Any]) -> list[Path]:
-        done.append(("compared", *(run.path.name for run in runs)))
-        return [Path("compared.png")]
-
-    monkeypatch.setattr(
-        "uavaccel.records.RunDirectory",
-        lambda path: SimpleNamespace(path=path, config=lambda: {"suite": path.name[:-1]}),
-    )
-    monkeypatch.setattr(experiments, "report_run", lambda run: done.append(("reported", run.path.name)))
-    monkeypatch.setattr("uavaccel.suites.registry.suite_of", lambda run: SimpleNamespace(compare=compare))
-    assert typed("run --report train1 dp1 train2").splitlines() == ["compared.png"]
-    assert done == [*(("reported", name) for name in ("train1", "dp1", "train2")), ("compared", "train1", "train2")]
 
 
 # --- a run in words ---------------------------------------------------------------------------------------------------
@@ -418,6 +396,7 @@ def test_set_has_the_last_word_over_an_option() -> None:
     request = RunRequest("dp1", {"clock_speed": [5.0, 10.0], "games": 3}, ["games=4", "clock_speed.1=20"])
     config = configure(request)[1]
     assert (config.games, config.clock_speed) == (4, (5.0, 20.0))
+    assert request.options["clock_speed"] == [5.0, 10.0], "what was asked for stays"
 
 
 def test_a_resumed_plan_has_the_games_without_a_row(tmp_path: Path) -> None:
@@ -474,6 +453,58 @@ def test_the_time_left_is_at_the_pace_of_this_start(monkeypatch: pytest.MonkeyPa
     assert said.getvalue().startswith("3/10 cells, ")  # as the plan calls them
     left = [line.rpartition(", ")[2] for line in said.getvalue().splitlines()]
     assert left == ["time left unknown", "11 min left", "14 min left", "10 min left"]
+
+
+# What a machine's own pace tells, and when it was.
+OF_THE_MACHINE = re.compile(
+    r"[\d.]+ simulated s per wall s(, .*)?|[\d.]+ (s|min) in all|(?<=took )[\d.]+ s of wall clock.*|\d+-\d\d-\d\dT\d+"
+    r"|[\d.]+ ms\b.*|(?<=policy )\w{12}|(?<=rows )\w{12}"
+)
+SMALL = "--games 2 --no-films --set task.observation=state --set task.max_commands"
+LEFT = "act.py:left CartPole-v1 --set default_action=0"
+SESSION = f"""
+run dp1 --clock 10 --timing virtual --t-move 0.5 --rounds 1 --games 1 --seed 3 --set reference_games=2 --out dp1
+evaluate straight {SMALL}=4 --out one
+evaluate offset:1 {SMALL}=4 --set first_lane=1 --against one --out two
+evaluate offset:1 {SMALL}=4 --set first_lane=9 --against one --dry-run
+evaluate offset:1 {SMALL}=4 --set first_lane=9 --against one --out three
+run --report one two --trust
+evaluate straight {SMALL}=3 --sweep wind=0,4 --out sweep
+run --resume --out sweep
+evaluate act.py:hold --games 2 --set env_id=uavaccel/Hover-v0 --trust --no-films --out hover
+train --games 3 --set task.observation=state --set task.max_commands=3 --set mirror=false --set hidden=[8] --out train
+export one --csv csv --minari one-v0
+export dp1 --csv logs --mcap logs/a.mcap --case adsc-k10-t0.5-r1-g00
+timing certify {LEFT} --delay 0 --delay 3 --episodes 2 --trust --out certificate
+timing measure {LEFT} --steps 3 --warm-up 1
+"""
+SHIPPED = "dp1 dp2_airsim evaluate hover_ppo mediation_flight realtime_wall rl_smoke train_robust"
+
+
+@pytest.mark.slow
+def test_a_session_prints_and_leaves_what_was_recorded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of each command its lines, the files that it has made, and of a run the summary and the last row."""
+    record_figures(monkeypatch)
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "act.py").write_text("def hold(seen): return [0.0] * 3\n\n\ndef left(seen): return 0\n")
+    told, there = list[str](), {Path("act.py")}
+    for line in [*SESSION.strip().splitlines(), *(f"run {name} --dry-run" for name in SHIPPED.split())]:
+        done = CliRunner().invoke(app, line.split())
+        lines = [*done.output.splitlines(), *[repr(done.exception)] * (done.exit_code != 0)]
+        told.append(f"$ {line}: {' / '.join(OF_THE_MACHINE.sub('OURS', ' '.join(each.split())) for each in lines)}")
+        files = {path.relative_to(tmp_path) for path in tmp_path.glob("**/*") if path.is_file()} - there
+        there |= files
+        names = sorted(str(path) for path in files if "parts" not in path.parts)
+        told += [re.sub(r"events\.out\S*", "EVENTS", " ".join(names))] * bool(names)
+        told += [Path(name).read_text().partition("\n")[0] for name in names if name.endswith("rows.csv")]
+        for name in [name for name in names if Path(name).name == "summary.json"]:
+            kept: Any = json.loads(Path(name).read_text()), RunDirectory(Path(name).parent).rows()[-1]
+            machines = ("wall_s", "simulated_s_per_wall_s") * (line.startswith("train"))
+            told += [
+                plain({key: each for key, each in some.items() if key not in machines and "sha256" not in key})
+                for some in kept
+            ]
+    assert_as_recorded("session", "\n".join([*told, ""]).replace(str(tmp_path), "HERE"))
 
 
 # --- around an evaluation ---------------------------------------------------------------------------------------------

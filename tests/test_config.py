@@ -13,6 +13,8 @@ from pydantic import Field, ValidationError, field_validator
 from uavaccel.config import Config, apply_overrides, dump_yaml, load_yaml, parse_yaml, schema, to_yaml, validate
 from uavaccel.errors import UserError
 
+pytestmark = pytest.mark.usefixtures("whole_messages")
+
 
 class Camera(Config):
     rate_hz: float = Field(30, gt=0)

@@ -23,6 +23,8 @@ from uavaccel.suites.path_suite import flight_row, fly_path
 from uavaccel.suites.registry import merged, read_mapping
 from uavaccel.wire.session import VirtualSession, open_session
 
+pytestmark = pytest.mark.usefixtures("whole_messages")
+
 
 def config_of(**options: Any) -> Dp1Config:
     mapping, source = read_mapping("dp1")

@@ -42,6 +42,8 @@ from uavaccel.suites.report import Summary
 from uavaccel.suites.session import RunRequest
 from uavaccel.suites.suite import choose_row
 
+pytestmark = pytest.mark.usefixtures("whole_messages")
+
 LANES = 4
 FIGURE = "figures/figure8_survival.png"
 
@@ -107,21 +109,6 @@ def test_the_same_bytes_twice(tmp_path: Path, straight: RunDirectory) -> None:
     evaluate_agent(request("straight", tmp_path / "run"), None, False)
     for name in ("rows.jsonl", "summary.json", "config.yaml", FIGURE):
         assert (tmp_path / "run" / name).read_bytes() == (straight.path / name).read_bytes()
-
-
-def test_against_another_run_on_the_command_line(
-    tmp_path: Path, straight: RunDirectory, capsys: pytest.CaptureFixture[str]
-) -> None:
-    evaluate_agent(request("offset:1", tmp_path / "run", games=2), straight.path, False)
-    said = capsys.readouterr().out
-    assert "on the same 2 lanes: 0 v 0 successes, +0.0 [-65.8, +65.8] points, exact McNemar p = 1" in said
-    assert re.search(r"0 of 2 lanes with TCSC at 1x \(0\.0%, 95 % Wilson interval 0\.0% to 65\.8%\)", said)
-    assert (tmp_path / "run" / FIGURE).stat().st_size > 10_000
-    assert "host_check" not in straight.manifest()  # which is of the machine's clock
-    elsewhere = request("straight", tmp_path / "elsewhere", "first_lane=100", games=1)
-    with pytest.raises(UserError, match="is no evaluation of the same lanes"):
-        evaluate_agent(elsewhere, straight.path, False)
-    assert not (tmp_path / "elsewhere").exists()
 
 
 @pytest.mark.slow

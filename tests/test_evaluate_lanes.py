@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 import torch as th
 
+from tests import made_runs as made
 from tests.host_kernels import ON_A_GPU, host_kernels  # noqa: F401 - a fixture
 from tests.opengl import needs_opengl
 from tests.running import configured, fly_into
@@ -129,6 +130,22 @@ def test_wall_times_count_from_where_the_games_began(monkeypatch: pytest.MonkeyP
     batch.close()
     assert [(game.row["lane"], game.host["wall_s"]) for game in games] == [(7, 2.5), (8, 4.0)]
     assert [game.next_is_ready for game in games] == [True, False]
+
+
+def test_lanes_that_are_left_alone_fly_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Those of a run that is resumed, in one batch."""
+    config = configured("evaluate", KERNELS, LOCKSTEP, "first_lane=5", agent="straight", games=4)
+    report = made.evaluated(tmp_path / "run", *({"lane": lane} for lane in (6, 8)))
+    asked: list[Any] = []
+
+    def batch(*told: Any) -> Any:
+        asked.append(told)
+        return SimpleNamespace(game=str, close=lambda: asked.append("closed"))
+
+    monkeypatch.setattr(evaluate_lanes, "GamesInBatch", batch)
+    with Evaluation().open(config, "lockstep", report.run) as fly:
+        assert str(fly(5)) == "5"
+    assert asked == [(config, [5, 7]), "closed"]
 
 
 LATER, FIRST = ([({"lane": lane}, {"host_wall_s": 1.0})] for lane in (8, 7))

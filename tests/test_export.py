@@ -164,8 +164,10 @@ def test_a_table_has_all_rows_columns_and_unknown_integers_stay_none() -> None:
 
 
 def test_columns_have_one_kind_each() -> None:
-    table = row_table([{"value": 3, "n": 1, "mixed": True}, {"value": "noisy", "n": 0.5, "mixed": 2}, {"value": None}])
-    assert table.to_csv(index=False).splitlines() == ["value,n,mixed", "3,1.0,true", "noisy,0.5,2", ",,"]
+    rows = {"value": 3, "n": 1, "mixed": True, "some": 7}, {"value": "noisy", "n": 0.5, "mixed": 2}, {"value": None}
+    table = row_table(rows)
+    assert table.to_csv(index=False).splitlines() == ["value,n,mixed,some", "3,1.0,true,7", "noisy,0.5,2,", ",,,"]
+    assert table.some.tolist() == [7, None, None]
     ((_, columns),) = sample_tables({"line": np.zeros((3, 8, 8)), "image": np.zeros((3, 5, 13))})
     assert list(columns) == [f"line.{n}" for n in range(64)]
     assert list(sample_tables({"empty": np.zeros((0, 3)), "number": np.array(3.0)})) == []

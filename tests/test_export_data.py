@@ -12,6 +12,7 @@ from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import cv2
+import gymnasium
 import h5py
 import numpy as np
 import pytest
@@ -32,6 +33,8 @@ from uavaccel.suites.dp2 import Dp2
 from uavaccel.suites.evaluate import Evaluation, game_seed
 from uavaccel.suites.evaluate_again import evaluation_of
 from uavaccel.suites.flight import Commands, Flight, Window
+
+pytestmark = pytest.mark.usefixtures("whole_messages")
 
 mcap_reader = pytest.importorskip("mcap.reader")
 # Minari's import warns where Minari's optional parts are missing.
@@ -277,6 +280,7 @@ def test_a_dataset_says_what_the_environment_says(
     export(str(straight.path), minari=tmp_path / "lane-v0")
     dataset, rows = load(tmp_path / "lane-v0", monkeypatch), straight.rows()
     assert dataset.total_episodes == len(rows)
+    assert "timing" not in (gymnasium.spec("uavaccel/ObstacleLane-v0").kwargs or {}), "the environment's own spec"
     assert dataset.total_steps == sum(row["commands"] for row in rows)
     environment = dataset.recover_environment()
     assert environment.observation_space == dataset.observation_space

@@ -25,6 +25,8 @@ from uavaccel.suites.suite import AnySuite
 from uavaccel.suites.train import EVALUATIONS, evaluations
 from uavaccel.watch.replay import recorded
 
+pytestmark = pytest.mark.usefixtures("whole_messages")
+
 NAN = float("nan")
 
 

@@ -112,6 +112,7 @@ def test_curves_count_from_this_start_without_evaluations(tmp_path: Path, monkey
     # It is made; a game ends; an evaluation is flown from 110 to 115 s; another game ends.
     now_s = iter([100.0, 104.0, 110.0, 115.0, 120.0])
     monkeypatch.setattr(trainer, "MonotonicClock", lambda: SimpleNamespace(now_ns=lambda: int(next(now_s) * NS_PER_S)))
+    monkeypatch.setattr("uavaccel.suites.event_file.epoch_s", lambda: 1_234.5)
     earlier = won(*[False] * 50, *[True] * 3, *[False] * 90, *[True] * 7)  # of the last 100 ten
     rows = trainer.GameRows(tiny_config({"t_move_s": 0.5}), tmp_path, earlier)
     info: dict[str, Any] = {
@@ -127,6 +128,7 @@ def test_curves_count_from_this_start_without_evaluations(tmp_path: Path, monkey
     read = EventAccumulator(str(tmp_path / "tensorboard"))
     read.Reload()
     drawn = {name: [(scalar.step, scalar.value) for scalar in read.Scalars(name)] for name in read.Tags()["scalars"]}
+    assert {scalar.wall_time for scalar in read.Scalars("games/loss")} == {1_234.5}
     expected = {
         "success_recent": [(41, 0.09), (42, 0.08)],
         "distance_m": [(41, 7.0), (42, 7.0)],

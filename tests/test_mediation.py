@@ -22,7 +22,7 @@ from uavaccel.records import RunDirectory
 from uavaccel.suites.mediation import Contrast, Mediation, MediationConfig, Share, effect, share_of_loss
 from uavaccel.suites.realtime import Realtime
 
-pytestmark = pytest.mark.usefixtures("trainings_here")
+pytestmark = pytest.mark.usefixtures("trainings_here", "whole_messages")
 
 LEFT, AHEAD = 0, 2
 EMPTY: dict[str, Any] = {"observation": "state", "lane": {"obstacles": []}, "t_sample_s": 0.1}

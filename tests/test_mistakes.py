@@ -15,6 +15,8 @@ from uavaccel import errors
 from uavaccel.config import validate
 from uavaccel.sim.lane import layout_from
 
+pytestmark = pytest.mark.usefixtures("whole_messages")
+
 TABLE = Path(__file__).parent / "data/mistakes.txt"
 
 

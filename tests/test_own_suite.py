@@ -22,6 +22,8 @@ from uavaccel.own_code import file_beside, folder_of, look_also_in, own_function
 from uavaccel.suites.registry import find_suite
 from uavaccel.suites.session import RunRequest, reading
 
+pytestmark = pytest.mark.usefixtures("whole_messages")
+
 ROOT = Path(__file__).parents[1]
 PAGE = (ROOT / "docs" / "own-suite.md").read_text(encoding="utf-8")
 FOUND = re.findall(r"^```(\w+)[^\n]*\n(.*?)^```$", PAGE, re.DOTALL | re.MULTILINE)

@@ -25,6 +25,8 @@ from uavaccel.suites.paper import Paper, PaperConfig
 from uavaccel.suites.report import Report
 from uavaccel.suites.rl import flights_of
 
+pytestmark = pytest.mark.usefixtures("whole_messages")
+
 AIRSIM = {"profile": "airsim", "timing": "virtual", "variant": ""}
 NATIVE = {**AIRSIM, "profile": "native"}
 OTHERS = [{**AIRSIM, "variant": "told"}, {**AIRSIM, "timing": "lockstep"}]

@@ -18,7 +18,7 @@ from tests.onnx_here import onnx, write  # noqa: F401 - a fixture
 from uavaccel.errors import UserError
 from uavaccel.realtime import load_policy
 
-pytestmark = pytest.mark.usefixtures("here")
+pytestmark = pytest.mark.usefixtures("here", "whole_messages")
 Env = gymnasium.Env[Any, Any]
 
 

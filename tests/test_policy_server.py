@@ -41,6 +41,8 @@ from uavaccel.realtime.server import (
     spec_text,
 )
 
+pytestmark = pytest.mark.usefixtures("whole_messages")
+
 PACKAGE = Path(__file__).parents[1]
 
 STRANGER = """
@@ -275,6 +277,8 @@ def test_a_killed_server_is_one_line_and_its_successor_is_found() -> None:
         server.wait()
         with pytest.raises(UserError, match=f"^{address}: the policy server has closed the connection"):
             policy(np.zeros(4))
+        reset = ConnectionResetError(104, "Connection reset by peer")
+        assert policy._failure(reset) == "the policy server has closed the connection: Connection reset by peer"
         with pytest.raises(UserError, match=f"^{address}: no policy server answers there: Connection refused$"):
             policy(np.zeros(4))
         with process(POLICY.replace("serve(policy)", f"serve(policy, {address.rpartition(':')[2]})")) as (_, again):

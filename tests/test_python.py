@@ -22,6 +22,8 @@ from uavaccel.envs.hover import Hover, HoverTask
 from uavaccel.errors import UserError
 from uavaccel.sim.lane import Difficulty
 
+pytestmark = pytest.mark.usefixtures("whole_messages")
+
 ROOT = Path(__file__).parents[1]
 IDS = [name for name in gymnasium.registry if name.startswith("uavaccel/")]
 TINY: dict[str, Any] = {

@@ -31,6 +31,8 @@ from uavaccel.realtime.process import EnvironmentServer, portable
 from uavaccel.realtime.thinking import thinking_time
 from uavaccel.wire.latency import read_latency
 
+pytestmark = pytest.mark.usefixtures("whole_messages")
+
 Env = gymnasium.Env[Any, Any]
 
 

@@ -28,6 +28,8 @@ from uavaccel.suites.realtime_agents import LookAhead, measured, policy_of, time
 from uavaccel.suites.realtime_config import AgentBlock, EnvironmentBlock
 from uavaccel.suites.realtime_report import panels_figure
 
+pytestmark = pytest.mark.usefixtures("whole_messages")
+
 PENDULUM = EnvironmentBlock(id="InvertedPendulum-v5", train_steps=512)
 CART = EnvironmentBlock(id="CartPole-v1", default_action=1, period_s=0.5)
 DRONE = EnvironmentBlock(id="uavaccel/Hover-v0", train_steps=2048)

@@ -40,6 +40,8 @@ from uavaccel.machine import describe_run, gpu
 from uavaccel.records import RunDirectory
 from uavaccel.wire.settings import LARGEST_BYTES, read_settings
 
+pytestmark = pytest.mark.usefixtures("whole_messages")
+
 
 class Clock(Config):
     speed: float = 1.0

@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -34,6 +35,7 @@ from tests.made_runs import (
     yaw,
 )
 from tests.running import configured
+from uavaccel.cli.experiments import report_run
 from uavaccel.config import validate
 from uavaccel.draw import style
 from uavaccel.records import RunDirectory
@@ -187,7 +189,7 @@ def dp2_errors(path: Path) -> Report:
     """Images beside those at 1x by metres, degrees and eighths of the pixels; without latency other counts alone."""
     same: Any = {key.upper(): each for key, each in GAME["arrays"].items()}
     calm = dp2_game("lockstep", **same | {"DVS_OFF": REFERENCE["arrays"]["dvs_off"]})
-    games = [GAME, calm, REFERENCE, dp2_game("game", "adsc", 9.0, (1, 0.0), (0, 0.0008))]
+    games = [GAME, calm, REFERENCE, dp2_game("game", "adsc", 9.0, (1, 0.0), (0, 0.0008), lost_wall_s=0.125)]
     games += [dp2_game("game", "adsc", 90.0, (4, 3.0), timing="lockstep"), dp2_game("game", "adsc", 5.0, **CRASHED)]
     games.append(dp2_game("reference", "adsc", 1.0, (0, 0.0), (0, 0.0)))
     return made.dp2(path, games, "perturbation.share=0.1", dvs_preset="noisy", sensor_seed=8)
@@ -492,7 +494,7 @@ def mediation_of_many(path: Path) -> Report:
 def realtime(path: Path) -> Report:
     """Of two agents the naive one is ahead in real time, and behind at 4x where latency is 50 ms."""
     rows = []
-    for latency_s in (0.3, 0.0, 0.05):
+    for latency_s in (0.3, 0.0, 0.1, 0.05):
         for speed in (1.0, 4.0):
             mean = 3 if (latency_s, speed) == (0.05, 4.0) else 20
             rows.append(thinking_row("naive", "adsc", latency_s, speed, mean))
@@ -546,12 +548,18 @@ MADE: tuple[Callable[[Path], Report], ...] = (
 
 @pytest.mark.parametrize("make", MADE, ids=lambda make: make.__name__)
 def test_a_report_is_the_one_that_was_read(
-    make: Callable[[Path], Report], tmp_path: Path, drawn: dict[str, Figure]
+    make: Callable[[Path], Report],
+    tmp_path: Path,
+    drawn: dict[str, Figure],
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     report = make(tmp_path / "run")
-    text = report_text(report, drawn)
-    if (table := report.overview()) is not None:  # what the command line prints
-        text += "\n".join(["\n## overview", " | ".join(table.header), *(" | ".join(row) for row in table.rows)]) + "\n"
+    suite = SimpleNamespace(report=lambda run: report)
+    monkeypatch.setattr("uavaccel.suites.registry.suite_of", lambda run: suite)
+    report_run(report.run)
+    printed = [line.rstrip() for line in capsys.readouterr().out.splitlines() if not line.endswith((".png", ".html"))]
+    text = "\n".join([report_text(report, drawn), "## printed", *printed, ""])
     assert_as_recorded(make.__name__, text.replace(str(tmp_path), "RUNS"))
 
 

@@ -21,6 +21,8 @@ from uavaccel.suites.seeds import Seeds, SeedsConfig
 from uavaccel.suites.session import RunRequest, configure, planned
 from uavaccel.suites.train import TrainConfig, Training
 
+pytestmark = pytest.mark.usefixtures("whole_messages")
+
 TRAINING = tiny_config({"observation": "state"}, mirror=False)
 SAME = ("config.yaml", "rows.jsonl", "summary.json", "policy.pt", "policy.json")
 

@@ -20,6 +20,8 @@ from uavaccel.suites.registry import SUITES, find_suite
 from uavaccel.suites.runner import run_suite, start_run
 from uavaccel.suites.session import RunRequest, configure, reading
 
+pytestmark = pytest.mark.usefixtures("whole_messages")
+
 EXPERIMENTS = [
     path for path in sorted(experiment("dp1.yaml").parent.rglob("*.yaml")) if "\nsuite: " in path.read_text("utf-8")
 ]

@@ -36,7 +36,7 @@ pytestmark = pytest.mark.usefixtures("without_camera")
 MODEL = """
 <mujoco>
   <asset>
-    <texture name="halves" type="2d" builtin="gradient" rgb1="1 0 0" rgb2="0 1 0" width="8" height="8"/>
+    <texture name="halves" type="2d" builtin="gradient" rgb1="1 0 0" rgb2="0 1 0" width="8" height="4" mark="edge"/>
     <texture name="grey" type="2d" builtin="checker" rgb1="1 1 1" rgb2="0 0 0" width="4" height="4"/>
     <material name="floor" texture="halves" texrepeat="3 2"/>
     <material name="wall" texture="grey" rgba="1 0.5 0 1"/>

@@ -20,6 +20,8 @@ from uavaccel.rl.agents import make_agent
 from uavaccel.suites.evaluate import Evaluation, fly_lane
 from uavaccel.watch.replay import recorded
 
+pytestmark = pytest.mark.usefixtures("whole_messages")
+
 SCRIPT = """
 import time
 import airsim

@@ -5,8 +5,10 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import signal
 import socket
 import tempfile
+import threading
 from collections.abc import Iterator
 from pathlib import Path
 from select import select
@@ -336,6 +338,46 @@ def test_a_page_beside_a_command_is_there_while_it_flies(
     }
     begins = "the flight begins when it is opened, or in 0.01 s" if waits else "Ctrl-C ends"
     assert capsys.readouterr().out == f"watch at http://127.0.0.9:8123; {begins}\n"
+
+
+def test_the_pages_process_tells_its_port_and_its_first_spectator_and_leaves_nothing(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    """It yields to the flight, and ends with the command, whose folder goes too."""
+    (tmp_path / "flights").mkdir()
+    options = {"host": "127.0.0.9", "port": 8100, "socket": f"{tmp_path}/flights/one", "title": "A title", "parent": 77}
+    monkeypatch.setattr("sys.argv", ["", json.dumps(options)])
+    done: list[Any] = []
+    monkeypatch.setattr(beside, "end_with_parent", lambda parent, first: done.append((parent, first)))
+    monkeypatch.setattr(os, "nice", done.append)
+    server = SimpleNamespace(get_port=lambda: 8123)
+
+    def opened(*asked: Any) -> Any:
+        done.append(asked)
+        return server
+
+    monkeypatch.setattr(beside, "open_server", opened)
+    monkeypatch.setattr("uavaccel.watch.sources.Live", str)
+    browsers: list[threading.Thread] = []
+    shown = SimpleNamespace(run=lambda: done.append("run"))
+
+    def page(*told: Any) -> Any:
+        browsers.append(threading.Thread(target=told[-1]))  # one that comes before the port is told
+        browsers[0].start()
+        done.append(told[:-1])
+        return shown
+
+    monkeypatch.setattr(pages, "Page", page)
+    beside.main()
+    (parent, leave), *then = done
+    assert (parent, then) == (77, [
+        5, ("127.0.0.9", 8100, pages.head_of("A title")), (server, f"{tmp_path}/flights/one", "A title"), "run",
+    ])  # fmt: skip
+    assert signal.getsignal(signal.SIGINT) is signal.SIG_DFL
+    leave()
+    assert not (tmp_path / "flights").exists()
+    browsers[0].join()
+    assert capsys.readouterr().out == '{"port": 8123}\n{"opened": true}\n'
 
 
 @pytest.mark.wall_clock
