@@ -349,7 +349,7 @@ def test_a_pixel_rises_by_one_threshold_and_falls_by_the_other() -> None:
         np.testing.assert_array_equal(plain[0], full)
 
 
-@pytest.mark.parametrize(("sigma", "negative"), [(0.0, 0.2), (0.05, 0.2), (0.05, 0.3)])
+@pytest.mark.parametrize(("sigma", "negative"), [(0.0, 0.2), (0.0, 0.004), (0.05, 0.2), (0.05, 0.3)])
 def test_quads_without_noise_see_what_pixels_see(sigma: float, negative: float) -> None:
     rng, shape = np.random.default_rng(0), (at.ROWS, at.COLUMNS)
     parameters = replace(PRESETS["clean"], threshold_sigma=sigma, negative_threshold=negative)
