@@ -137,10 +137,18 @@ def test_advantages_are_sums_of_discounted_surprises() -> None:
     np.testing.assert_allclose(ppo._targets.numpy(), ppo._gains.numpy() + values, atol=1e-6)
 
 
-def test_events_are_seen_about_their_neutral_grey() -> None:
-    network = ActorCritic(spaces.Box(0, 255, (1, 12, 12), np.uint8), 2, options(), sees="dvs")
-    levels = network._levels(th.tensor([[128, 152, 104, 255]], dtype=th.uint8))
-    np.testing.assert_allclose(levels[0].numpy(), [0.0, 0.5, -0.5, 127 / 151], rtol=1e-6)
+@pytest.mark.parametrize(
+    ("sees", "levels", "expected"),
+    [
+        ("dvs", [128, 152, 104, 255], [0.0, 0.5, -0.5, 127 / 151]),
+        ("depth", [0, 51, 77, 255], [1.0, 1.0 - 10 / 15, 0.0, 0.0]),  # 50 m are 255, and beyond 15 m all is equally far
+        ("colour", [0, 51, 255, 102], [-1.0, -0.6, 1.0, -0.2]),
+    ],
+)
+def test_levels_are_seen_as_what_they_show(sees: str, levels: list[int], expected: list[float]) -> None:
+    network = ActorCritic(spaces.Box(0, 255, (1, 12, 12), np.uint8), 2, options(), sees=sees)
+    seen = network._levels(th.tensor([levels], dtype=th.uint8))
+    np.testing.assert_allclose(seen[0].numpy(), expected, atol=1e-6)
 
 
 @pytest.mark.parametrize(
