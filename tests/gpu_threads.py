@@ -260,7 +260,8 @@ class Twice:
         if name not in self._kernels or not grid or name in self._left_out:
             on_host(*arguments)
             return
-        alone = name in ("project", "find", "look")  # whose work the host leaves out
+        counts = name == "see_gray" and arguments[-1] != () and arguments[-1].counting
+        alone = counts or name in ("project", "find", "look")  # which the host leaves out
         before, mine = given(arguments, {}), given(arguments, None if alone else {})
         every, part = self._parts.get(name, (1, 0))
         some = [each for each in range(grid[1]) if name != "show" or each % 64 in range(16, 32)]

@@ -71,7 +71,8 @@ def test_resets_take_options_and_actions_are_looked_at() -> None:
 
 
 SHORT: dict[str, Any] = {"t_move_s": 0.02, "t_sample_s": 0.02, "max_commands": 1}
-SMALL = {"picture_size": [17, 16], "clutter": {"shapes": 6}, **SHORT}
+SMALL: dict[str, Any] = {**SHORT, "picture_size": [17, 16], "clutter": {"shapes": 6}, "observation": "colour"}
+RESTING = {"dvs_preset": "command_line", "t_move_s": 0.002, "t_sample_s": 0.002, "observation": "dvs"}
 
 
 @pytest.mark.slow
@@ -80,24 +81,23 @@ def test_threads_of_a_gpu_make_what_the_host_does(monkeypatch: pytest.MonkeyPatc
     """In Python, each kernel of the first case that launches it; one pixel in fifty may be another at an edge."""
     compared: Counter[str] = Counter()
     for kind, keys in (
-        (Navigate, {**SMALL, "dvs_preset": "noisy", "image_noise": 2.0, "observation": "dvs"}),
-        (Navigate, {**SMALL, "observation": "colour", "image_noise": 3.0}),
+        (Navigate, {**SMALL, **RESTING, "dvs_shot_noise_hz": 900.0, "image_noise": 12.0}),
+        (Navigate, {**SMALL, "image_noise": 3.0}),
         (Navigate, {**SMALL, "observation": "depth", "picture_size": [256, 144]}),
         (ObstacleLane, SHORT),
         (ObstacleLane, {**SHORT, "observation": "colour", "image_noise": 2.0}),
         (ObstacleLane, {**SHORT, "observation": "depth"}),
     ):
-        twice = Twice(GameMaker(kind(**keys).task).nominal, keys.get("picture_size") != [17, 16], compared)
+        known = {name for name, count in compared.items() if count > 30}
+        twice = Twice(GameMaker(kind(**keys).task).nominal, keys.get("picture_size") != [17, 16], known)
         with monkeypatch.context() as patch:
             twice.put_into(patch)
             with closing(import_module("uavaccel.envs.cuda_batch").CudaBatch(kind, 2, **keys)) as batch:
                 batch.reset(seed=0)
                 batch.step(batch.action_space.sample() if kind is Navigate else [1, 3])
         compared += twice.compared
-    assert {name for name, count in compared.items() if count > 30} == {
-        *("fly", "deal_clutter", "cast_gray", "cast_colour", "cast_depth", "start_events", "see_gray", "take_frames"),
-        *("draw_gray", "see", "show"),
-    }
+    every = "fly deal_clutter cast_gray cast_colour cast_depth start_events see_gray take_frames draw_gray see show"
+    assert min(compared[name] for name in every.split()) > 30, compared
 
 
 def test_make_vec_says_which_simulator_flies() -> None:

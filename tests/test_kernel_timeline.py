@@ -12,7 +12,6 @@ import pytest
 from scipy.stats import ks_2samp
 
 from tests.lanes import mostly_ahead
-from tests.opengl import needs_opengl
 from uavaccel.envs.flight_env import FlightEnv
 from uavaccel.envs.hover import Hover
 from uavaccel.envs.kernel_batch import KernelBatch
@@ -134,27 +133,3 @@ def test_ages_are_those_at_the_collision() -> None:
         assert (over.tolist(), infos["collision"].tolist()) == ([True], ["obstacle_00"])
         bands = seen[0, -1].reshape(3, 12, 64)
         assert [np.unique(band).tolist() for band in bands] == [[128 + 33], [128 + 17], [128]]
-
-
-def test_a_games_latency_scale_is_that_of_its_messages() -> None:
-    walls = []
-    for keys in ({"randomise": {"latency_scale": [2.5, 2.5]}}, {"latency": constant(scale=2.5)}, {}):
-        task: dict[str, Any] = {"observation": "state", "timing": "virtual", "clock_speed": 10.0}
-        task |= {"latency": constant(), **keys}
-        with closing(KernelBatch(ObstacleLane, 1, **task)) as batch:
-            batch.reset(seed=1)
-            walls.append(float(batch.step([2])[4]["wall_s"][0]))
-    assert walls[0] == walls[1] > walls[2]
-
-
-@needs_opengl
-def test_frames_are_as_old_for_an_agent_as_in_the_exact_simulator() -> None:
-    """ADSC flies on while each picture is processed: 20 ms of wall time, 0.4 s at 20x."""
-    keys: dict[str, Any] = {
-        "observation": "depth", "knows": ["frame_age"], "command": "adsc", "timing": "virtual", "clock_speed": 20.0,
-        "image_processing_s": 0.02, "latency": constant(),
-    }  # fmt: skip
-    with closing(KernelBatch(ObstacleLane, 1, **keys)) as batch, closing(ObstacleLane(**keys)) as alone:
-        batch.reset(seed=1)
-        alone.reset(seed=1)
-        np.testing.assert_array_equal(batch.step([2])[0][0][-1], alone.step(2)[0][-1])
