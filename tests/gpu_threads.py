@@ -35,26 +35,25 @@ class Thread:
     arrays = 0
 
     def __init__(self, number: int, work: Callable[[], None]) -> None:
-        self.number, self.errors, self._go, self._back = number, list[BaseException](), Semaphore(0), Semaphore(0)
-        self.python = PythonThread(target=self._run, args=(work,), daemon=True)
-        self.python.start()
+        self.number, self._error, self._go, self._back = number, BaseException(), Semaphore(0), Semaphore(0)
+        PythonThread(target=self._run, args=(work,), daemon=True).start()
 
     def _run(self, work: Callable[[], None]) -> None:
         self._go.acquire()
         try:
             with np.errstate(all="ignore"):
                 work()
+            self.asked = None
         except BaseException as error:
-            self.errors.append(error)
-        self.asked = None
+            self.asked, self._error = "error", error
         self._back.release()
 
     def turn(self) -> bool:
         """Run on; whether it waits again."""
         self._go.release()
         self._back.acquire()
-        for error in self.errors:
-            raise error
+        if self.asked == "error":
+            raise self._error
         return self.asked is not None
 
     def wait(self, *asked: Any) -> Any:
@@ -129,10 +128,7 @@ class Numbers(ModuleType):
 
 
 class Names:
-    """A module of these names, which may still be added to."""
-
-    def __init__(self, names: dict[str, Any]) -> None:
-        self.__dict__ = names
+    """A module of names, `__dict__`, which may still be added to."""
 
 
 class Choosers(dict[Any, Any]):
@@ -148,7 +144,8 @@ class Choosers(dict[Any, Any]):
         if not name.startswith(("uavaccel.kernels", "uavaccel.sim", "uavaccel.vision")):
             return found
         if isinstance(found, ModuleType):
-            return Names(self.names_of(name, known))
+            (module := Names()).__dict__ = self.names_of(name, known)
+            return module
         if not isinstance(function, FunctionType):
             return found
         if function in self:

@@ -304,17 +304,6 @@ def see_both(levels: Any, camera: Any, sensor: Any, plain: Any, full: Any) -> tu
     return quick, slow
 
 
-def test_a_lanes_camera_has_each_parameter_under_its_name() -> None:
-    parameters = DvsParameters(0.1, 0.3, 0.02, 50.0, 0.4, 0.05, 0.9, 6.0, 0.007, 0.08)
-    camera = events.camera_row(parameters, 2.5)
-    expected = {
-        events.POSITIVE: 0.1, events.NEGATIVE: 0.3, events.SIGMA: 0.02, events.TAU: 1 / (100 * np.pi),
-        events.LEAK: 0.4, events.JITTER: 0.05, events.SHOT: 6.0, events.REFRACTORY: 0.007, events.HOT: 0.08,
-        events.READ: 2.5,
-    }  # fmt: skip
-    assert dict(enumerate(camera.tolist())) == pytest.approx(expected)
-
-
 def test_a_pixel_rises_by_one_threshold_and_falls_by_the_other() -> None:
     """Of 0.25 and 0.5 without a spread, from 50 to 100, by 0.693, and back: two whole steps up, one down."""
     parameters, shape = DvsParameters(0.25, 0.5, threshold_sigma=0.0), (at.ROWS, at.COLUMNS)

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from scipy.stats import ks_2samp
 
-from tests.lanes import mostly_ahead
 from uavaccel.envs.flight_env import FlightEnv
 from uavaccel.envs.hover import Hover
 from uavaccel.envs.kernel_batch import KernelBatch
@@ -84,26 +83,6 @@ def test_latencies_are_distributed_as_the_exact_simulators(command: str, profile
     error_s = np.sqrt(ours.var() / ours.size + exact.var() / exact.size)
     assert abs(ours.mean() - exact.mean()) < 3.0 * error_s
     assert len(np.unique(ours)) > 0.9 * len(ours)
-
-
-def test_no_latency_reaches_native_tcsc() -> None:
-    """Whatever is drawn, the games are lockstep's; their clocks are not."""
-    faults: dict[str, Any] = {
-        "platform": {"faults": {"dropped": 0.05, "stalled": 0.1, "late": 0.2}, "stall_us": 40_000.0}
-    }
-    still: dict[str, Any] = {"observation": "state", "max_commands": 30}
-    drawn = {**still, "timing": "virtual", "latency": faults, "clock_speed": 50.0}
-    with (
-        closing(KernelBatch(ObstacleLane, 8, **still)) as calm,
-        closing(KernelBatch(ObstacleLane, 8, **drawn)) as hurried,
-    ):
-        assert (calm.reset(seed=1)[0] == hurried.reset(seed=1)[0]).all()
-        for actions in mostly_ahead(8, 40):
-            hurried.call_each("charge", [(0.7, "learning")] * 8)
-            expected, found = calm.step(actions), hurried.step(actions)
-            assert expected[0].tobytes() == found[0].tobytes()
-            assert all((a == b).all() for a, b in zip(expected[1:4], found[1:4], strict=True))
-        assert (found[4]["wall_s"] != expected[4]["wall_s"]).all()
 
 
 def test_the_machines_time_is_shared_by_the_lanes_that_flew(monkeypatch: pytest.MonkeyPatch) -> None:
