@@ -176,7 +176,7 @@ def test_no_hill_is_nearer_than_the_bound() -> None:
     field = f'<hfield name="hills" nrow="14" ncol="11" size="5 6.5 9 0.5" elevation="{data}"/>'
     hills = '<geom name="hills" type="hfield" hfield="hills"/>'
     scene = read_scene(own_world(hills, rest=f"<asset>{field}</asset>"))
-    points = random.uniform((-6.0, -7.5, 0.0), (6.0, 7.5, 8.0), (9000, 3))
+    points = random.uniform((-6.0, -7.5, 0.0), (6.0, 7.5, 4.0), (3000, 3))
     bounds = np.zeros(len(points))
     bound_all(scene, scene.shapes[0, 0], points, bounds)
     x, y = np.meshgrid(np.linspace(-5.0, 5.0, 11), np.linspace(-6.5, 6.5, 14))
