@@ -19,7 +19,6 @@ import uavaccel.envs  # noqa: F401 - registers
 from tests.gpu_threads import Twice
 from tests.host_kernels import host_kernels  # noqa: F401 - a fixture
 from uavaccel.config import validate
-from uavaccel.envs.arrays import stacked_observations
 from uavaccel.envs.kernel_batch import KernelBatch
 from uavaccel.envs.kernel_games import GameMaker
 from uavaccel.envs.navigate import Navigate
@@ -178,10 +177,9 @@ def test_a_learner_goes_on_from_a_checkpoint_to_the_same_weights(seen: dict[str,
     first = weights_sha256(learner.policy)
     games = learn(learner, 1)
     assert learner.lanes.going.any(), "in the middle of games"
-    running = range(LEARNING_LANES)
     saved = (
         deepcopy(learner.get_state()),  # whose tensors are the learner's own
-        [{name: np.array(value) for name, value in each.items()} for each in map(learner.lanes.get_state, running)],
+        [{name: np.array(value) for name, value in each.items()} for each in learner.lanes.get_states()],
     )
     games += learn(learner, 8)
     assert [game.number for game in games] == list(range(8))
@@ -191,8 +189,7 @@ def test_a_learner_goes_on_from_a_checkpoint_to_the_same_weights(seen: dict[str,
 
     other = learner_of(config.model_copy(update={"seed": 1}))
     other.config = config
-    now = [other.lanes.set_state(lane, state) for lane, state in enumerate(saved[1])]
-    other.set_state(saved[0], stacked_observations(now))
+    other.set_state(saved[0], other.lanes.set_states(saved[1]))
     again = learn(other, 8)
     assert len(again) > 1
     assert [(game.number, game.lane, game.reward) for game in again] == [

@@ -212,7 +212,8 @@ def seen_cases(draw: st.DrawFn) -> Case:
 @st.composite
 def worlds(draw: st.DrawFn) -> Case:
     """Clutter that is observed by a camera."""
-    looks: Keys = draw(st.sampled_from([{"observation": "depth", "also_state": True}, {"dvs_shot_noise_hz": 5.0}]))
+    depth = {"observation": "depth", "also_state": True, "also_attitude": draw(st.booleans())}
+    looks: Keys = draw(st.sampled_from([depth, {"dvs_shot_noise_hz": 5.0}]))
     seen = {"observation": "dvs", "picture_size": [32, 20], "image_noise": 2.0} if len(looks) == 1 else {}
     keys = {**WORLDS, **seen, **looks, "max_commands": draw(st.integers(2, 4)), "history": draw(st.integers(1, 2))}
     return Case(Navigate, keys, draw(st.integers(0, 2**16)), 6, 0.6, 0.0, draw(EVENTS))

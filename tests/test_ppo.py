@@ -24,7 +24,7 @@ from uavaccel.rl.adapters import TensorLoop
 from uavaccel.rl.learner import first_seed
 from uavaccel.rl.onnx_file import OnnxPolicy, described, example
 from uavaccel.rl.policy import load_policy, trained_with
-from uavaccel.rl.ppo import PPO, ActorCritic, PPOOptions, PPOTraining
+from uavaccel.rl.ppo import PPO, ActorCritic, FirstLayer, PPOOptions, PPOTraining, blocks
 from uavaccel.suites.evaluate import Evaluation
 from uavaccel.suites.evaluate_again import environment_of, fly_again
 from uavaccel.suites.runner import run_suite, start_run
@@ -75,9 +75,10 @@ def options(**keys: Any) -> PPOOptions:
     )
 
 
-def test_it_learns_actions_from_a_picture_beside_a_state() -> None:
+@pytest.mark.parametrize("keys", [{}, {"precision": "bfloat16", "divergence": 0.02}], ids=str)
+def test_it_learns_actions_from_a_picture_beside_a_state(keys: dict[str, Any]) -> None:
     env = Toy()
-    ppo = PPO(env, options(commands=16 * 16 * 60))
+    ppo = PPO(env, options(commands=16 * 16 * 60, **keys))
     rounds = list(ppo.learn())
     assert rounds[-1].commands == ppo.commands == 16 * 16 * 60
     assert rounds[0].games == 16 * 4
@@ -110,6 +111,24 @@ def test_the_noise_of_the_actions_falls_where_it_is_limited() -> None:
         assert deviation <= 0.1 + 0.4 * (1.0 - done / 8) + 1e-6
 
 
+@pytest.mark.parametrize(("aim", "rate"), [(1e-5, 3e-3 * (2 / 3) ** 7), (10.0, 1.5e-3)])
+def test_the_learning_rate_keeps_to_a_divergence(aim: float, rate: float) -> None:
+    """Above it the rate falls by a third in each step but the first, which begins at the policy that flew."""
+    ppo = PPO(Toy(), options(commands=512, divergence=aim))
+    rounds = ppo.learn()
+    for _ in range(1 if aim < 1.0 else 2):
+        next(rounds)
+    assert float(ppo.optimizer.param_groups[0]["lr"]) == pytest.approx(rate, rel=1e-5)
+
+
+@pytest.mark.parametrize("shape", [(8, 36, 64), (3, 35, 63), (1, 6, 5)], ids=str)
+def test_blocks_are_convolved_to_what_pictures_are(shape: tuple[int, ...]) -> None:
+    layer, seen = FirstLayer(shape[0], 4), th.rand(2, *shape)
+    np.testing.assert_allclose(
+        layer(blocks(seen).permute(0, 3, 1, 2)).detach(), layer(seen).detach(), atol=1e-5, strict=True
+    )
+
+
 def test_advantages_are_sums_of_discounted_surprises() -> None:
     """A(t) is the sum over k of (gamma lambda)^k times the surprise of step t + k, up to the game's end.
 
@@ -138,15 +157,16 @@ def test_advantages_are_sums_of_discounted_surprises() -> None:
 
 
 @pytest.mark.parametrize(
-    ("sees", "levels", "expected"),
+    ("sees", "half", "levels", "expected"),
     [
-        ("dvs", [128, 152, 104, 255], [0.0, 0.5, -0.5, 127 / 151]),
-        ("depth", [0, 51, 77, 255], [1.0, 1.0 - 10 / 15, 0.0, 0.0]),  # 50 m are 255, and beyond 15 m all is equally far
-        ("colour", [0, 51, 255, 102], [-1.0, -0.6, 1.0, -0.2]),
+        ("dvs", 24.0, [128, 152, 104, 255], [0.0, 0.5, -0.5, 127 / 151]),
+        ("dvs", 4.0, [128, 132, 124, 255], [0.0, 0.5, -0.5, 127 / 131]),
+        ("depth", 24.0, [0, 51, 77, 255], [1.0, 1.0 - 10 / 15, 0.0, 0.0]),  # 50 m are 255; from 15 m on all is as far
+        ("colour", 24.0, [0, 51, 255, 102], [-1.0, -0.6, 1.0, -0.2]),
     ],
 )
-def test_levels_are_seen_as_what_they_show(sees: str, levels: list[int], expected: list[float]) -> None:
-    network = ActorCritic(spaces.Box(0, 255, (1, 12, 12), np.uint8), 2, options(), sees=sees)
+def test_levels_are_seen_as_what_they_show(sees: str, half: float, levels: list[int], expected: list[float]) -> None:
+    network = ActorCritic(spaces.Box(0, 255, (1, 12, 12), np.uint8), 2, options(half_contrast=half), sees=sees)
     seen = network._levels(th.tensor([levels], dtype=th.uint8))
     np.testing.assert_allclose(seen[0].numpy(), expected, atol=1e-6)
 
@@ -176,7 +196,7 @@ def test_discrete_actions_are_refused() -> None:
 HOVER = {
     "env_id": "uavaccel/Hover-v0", "algorithm": "ppo", "games": 6, "environments": 2, "hidden": [8],
     "checkpoint_games": 2, "task": {"max_commands": 6},
-    "options": {"rollout": 8, "minibatches": 2, "learning_rate": 0.01},
+    "options": {"rollout": 8, "minibatches": 2, "learning_rate": 0.01, "divergence": 0.005},
 }  # fmt: skip
 
 

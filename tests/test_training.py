@@ -156,15 +156,19 @@ def test_a_training_that_is_over_goes_on_for_more_games(tmp_path: Path, monkeypa
 
 
 def test_a_checkpoint_gives_each_lane_its_own_state_back(tmp_path: Path) -> None:
-    """Also of more than ten; the newest that has its last file is the only one, unless it is damaged."""
-    states = [{"at.x": np.array([lane, 0.5]), "over": np.array(lane > 4)} for lane in range(12)]
-    put: dict[int, Any] = {}
+    """Also of more than ten, of other shapes and without some; the newest that is whole is the only one."""
+    states: list[Any] = [
+        {"at.x": np.array([lane, 0.5]), "over": np.array(lane > 4), "text": "n" * lane, "own": np.zeros(lane)}
+        for lane in range(12)
+    ]
+    del states[3]["text"]
+    put: list[Any] = []
 
-    def set_state(lane: int, state: Any) -> Any:
-        put[lane] = {name: each.tolist() for name, each in state.items()}
-        return np.full(3, lane)
+    def set_states(given: Any) -> Any:
+        put.extend({name: each.tolist() for name, each in state.items()} for state in given)
+        return np.arange(12)
 
-    lanes = SimpleNamespace(num_envs=12, get_state=states.__getitem__, set_state=set_state)
+    lanes = SimpleNamespace(num_envs=12, get_states=lambda: states, set_states=set_states)
     kept = LearnerState({"weights": th.ones(2)}, {"rewards": np.arange(3.0)}, {"returns": [0.25, 1.5]})
     back: list[Any] = []
     learner: Any = SimpleNamespace(lanes=lanes, get_state=lambda: kept, set_state=lambda *given: back.extend(given))
@@ -174,8 +178,8 @@ def test_a_checkpoint_gives_each_lane_its_own_state_back(tmp_path: Path) -> None
     assert ([*tmp_path.iterdir()], find_checkpoint(tmp_path / "elsewhere")) == ([newest], None)
     load_checkpoint(newest, learner)
     assert games_of(newest) == 12
-    assert [put[lane] for lane in range(12)] == [{name: each.tolist() for name, each in one.items()} for one in states]
-    assert back[1].tolist() == [[lane] * 3 for lane in range(12)]
+    assert put == [{name: np.asarray(each).tolist() for name, each in state.items()} for state in states]
+    assert back[1].tolist() == list(range(12))
     assert (back[0].counters, back[0].arrays["rewards"].tolist()) == (kept.counters, [0, 1, 2])
     assert th.equal(back[0].tensors["weights"], th.ones(2))
     for name in ("0000003", "0000007", "0000020"):

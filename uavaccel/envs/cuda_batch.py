@@ -123,13 +123,13 @@ class CudaBatch(VectorEnv[Any, Any, Any]):
                 self._actions.wrong.zero_()
                 raise UserError(f"actions of an earlier step were not in the action space: {self.action_space}")
 
-    def get_state(self, lane: int) -> State:
-        """Return an environment's running game for np.savez: another batch of this task continues it."""
-        return self._lanes.get_state(lane)
+    def get_states(self) -> list[State]:
+        """Return each environment's running game for np.savez: another batch of this task continues them."""
+        return self._lanes.get_states()
 
-    def set_state(self, lane: int, state: Mapping[str, Any]) -> Any:
-        """Restore a state that `get_state` returned, and return the environment's observation."""
-        return self._lanes.set_state(lane, state)
+    def set_states(self, states: Sequence[Mapping[str, Any]]) -> Any:
+        """Restore states that `get_states` returned, and return the environments' observations as arrays."""
+        return self._lanes.set_states(states)
 
     def _infos(self) -> dict[str, Any]:
         games = self._lanes.running

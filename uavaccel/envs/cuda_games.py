@@ -172,18 +172,20 @@ class Dealt(LaneGames):
         """Return a lane's game as it was sampled, by its label."""
         return self._any._replace(course={"lane": label})
 
-    def get_state(self, lane: int) -> State:
-        """Return what a lane's running game and its next ones are sampled from."""
-        before = self._tensors.streams[lane, lane_games.BEFORE].cpu().numpy()
-        return {"dealt_from": before, "index": int(self._tensors.indices[lane]), "begun": int(self.begun[lane])}
+    def get_states(self) -> list[State]:
+        """Return what each lane's running game and its next ones are sampled from."""
+        before, indices = self._tensors.streams[:, lane_games.BEFORE].cpu().numpy(), self._tensors.indices.tolist()
+        each = zip(before, indices, self.begun.tolist(), strict=True)
+        return [{"dealt_from": stream, "index": index, "begun": begun} for stream, index, begun in each]
 
-    def set_state(self, lane: int, state: Mapping[str, Any]) -> None:
-        """Sample the games of a state that `get_state` returned again."""
-        own = th.from_numpy(np.array(state["dealt_from"], np.int64)).to(self.device)
-        self._tensors.streams[lane, lane_games.OWN] = own
-        self._tensors.given[lane] = int(state["index"])
-        self._deal((self._all == lane).byte())
-        self.begun[lane], self.has_games = int(state["begun"]), True
+    def set_states(self, states: Sequence[Mapping[str, Any]]) -> None:
+        """Sample the games of the states that `get_states` returned again."""
+        own = np.array([state["dealt_from"] for state in states], np.int64)
+        self._tensors.streams[:, lane_games.OWN] = to_device(own, self.device)
+        self._tensors.given.copy_(th.tensor([int(state["index"]) for state in states]))
+        self._deal(th.ones_like(self._all, dtype=th.uint8))
+        self.begun.copy_(th.tensor([int(state["begun"]) for state in states]))
+        self.has_games = True
 
 
 class DealtClutter(Dealt):
@@ -278,22 +280,28 @@ class SampledAhead(LaneGames):
         """Return one of a lane's latest AHEAD games as it was sampled."""
         return self._drawn[lane][label]
 
-    def get_state(self, lane: int) -> State:
-        """Return what a lane's running game and its next ones are sampled from."""
-        flown, written = int(self.begun[lane]) - 1, self._written[lane]
-        generator, options = self._sampled_by[lane][flown]
+    def get_states(self) -> list[State]:
+        """Return what each lane's running game and its next ones are sampled from."""
+        return [self._get_state(lane, begun - 1) for lane, begun in enumerate(self.begun.tolist())]
+
+    def _get_state(self, lane: int, flown: int) -> State:
+        (generator, options), written = self._sampled_by[lane][flown], self._written[lane]
         texts = {"drawn_by": json.dumps(generator), "options": json.dumps(options, default=plain)}
         return {**texts, "flown": flown, "written": written, "games": self._games[lane] - (written - flown)}
 
-    def set_state(self, lane: int, state: Mapping[str, Any]) -> None:
-        """Sample the games of a state that `get_state` returned again."""
+    def set_states(self, states: Sequence[Mapping[str, Any]]) -> None:
+        """Sample the games of the states that `get_states` returned again."""
+        self._send([row for lane, state in enumerate(states) for row in self._drawn_again(lane, state)])
+        self.begun.copy_(th.tensor([int(state["flown"]) + 1 for state in states]))
+        self.available.copy_(th.tensor([int(state["written"]) for state in states]))
+
+    def _drawn_again(self, lane: int, state: Mapping[str, Any]) -> list[int]:
         generator = self._generators[lane] = seeding.np_random(0)[0]
         generator.bit_generator.state = json.loads(str(state["drawn_by"]))
         flown, written = int(state["flown"]), int(state["written"])
         self._games[lane], self._written[lane] = int(state["games"]), flown
         options = json.loads(str(state["options"]))
-        self._send([self._draw(lane, None if number > flown else options) for number in range(flown, written)])
-        self.begun[lane], self.available[lane] = flown + 1, written
+        return [self._draw(lane, None if number > flown else options) for number in range(flown, written)]
 
     def _draw(self, lane: int, options: Mapping[str, Any] | None = None) -> int:
         """Sample a lane's next game into the host's rows, and return its row."""

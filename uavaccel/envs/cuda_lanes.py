@@ -345,19 +345,22 @@ class CudaLanes:
     def num_envs(self) -> int:
         return self.count
 
-    def get_state(self, lane: int) -> State:
-        """Return a lane's running game, and what its next ones are sampled from, for np.savez."""
-        flown = {name: tensor[..., lane].cpu().numpy() for name, tensor in self._state_tensors().items()}
-        return self.games.get_state(lane) | flown
+    def get_states(self) -> list[State]:
+        """Return each lane's running game, and what its next ones are sampled from, for np.savez."""
+        flown = {name: tensor.cpu().numpy() for name, tensor in self._state_tensors().items()}
+        return [
+            sampled | {name: array[..., lane] for name, array in flown.items()}
+            for lane, sampled in enumerate(self.games.get_states())
+        ]
 
-    def set_state(self, lane: int, state: Mapping[str, Any]) -> Any:
-        """Restore a state that `get_state` returned, and return the lane's observation."""
-        self.games.set_state(lane, state)
+    def set_states(self, states: Sequence[Mapping[str, Any]]) -> Any:
+        """Restore states that `get_states` returned, and return the lanes' observations as arrays of the host."""
+        self.games.set_states(states)
         if not self.running.course:
             self.running = self.running._replace(course=mapped(th.clone, select(self.games.starts, self._rows)))
         for name, tensor in self._state_tensors().items():
-            tensor[..., lane] = th.from_numpy(np.ascontiguousarray(state[name])).to(self.device)
-        return mapped(lambda seen: seen[lane].cpu().numpy(), self.observations)
+            tensor.copy_(th.from_numpy(np.stack([state[name] for state in states], axis=-1)))
+        return mapped(lambda seen: seen.cpu().numpy(), self.observations)
 
     def _state_tensors(self) -> dict[str, th.Tensor]:
         """Return all tensors that change in a game, with the lane as the last axis."""

@@ -50,6 +50,8 @@ class NavigateTask(Task):
     """Range of distances from start to goal, metres."""
     goal_bearing_deg: Annotated[float, Field(ge=0.0, le=30.0)] = 30.0
     """Largest bearing of the goal to either side of straight ahead, degrees."""
+    also_attitude: bool = False
+    """Whether the state also has the attitude, as a quaternion, and the body's rates, rad/s: 7 numbers more."""
     reach_m: Positive = 1.0
     """Distance from the goal, in metres, that wins."""
 
@@ -82,12 +84,13 @@ class NavigateTask(Task):
         return sample_world(lane_seed(self.split, course["world"]), self.clutter, course["goal_m"])
 
     def fields(self, state: Kinematics, course: Course) -> Sequence[Number]:
-        """List the direction to the goal, its distance in 15 m, at most 2, and the velocity: 7 numbers."""
+        """List the direction to the goal, its distance in 15 m, at most 2, and the velocity; perhaps the attitude."""
         way_m = [there - here for there, here in zip(course["goal_m"], state.position_m, strict=True)]
         far_m = distance(course["goal_m"], state.position_m)
         far = far_m / NEAR_M
         told = far - (far - FAR_M) * (far > FAR_M)
-        return [*(each / (far_m + 1e-3) for each in way_m), told, *state.linear_velocity_m_s]
+        attitude = (*state.orientation_wxyz, *state.angular_velocity_rad_s) if self.also_attitude else ()
+        return [*(each / (far_m + 1e-3) for each in way_m), told, *state.linear_velocity_m_s, *attitude]
 
     def reward(self, before: AnyMoment, now: AnyMoment) -> Number:
         """Return 0.3 per metre nearer to the goal, 5 for success, -12 for failure, and -0.01."""

@@ -8,7 +8,7 @@ import math
 from collections.abc import Mapping
 from contextlib import suppress
 from importlib import import_module
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from gymnasium import spaces
 from pydantic import (
@@ -40,6 +40,7 @@ ALGORITHMS = f"{DOUBLE_DQN}, {PPO}, {SB3}dqn, {SB3}ppo, {SB3}a2c"
 RESERVED = ("policy", "env", "policy_kwargs", "seed", "device", "verbose", "tensorboard_log", "_init_setup_model")
 SIZES = ("buffer_size", "batch_size", "n_steps", "n_epochs")
 LARGEST_SIZE = 1_000_000_000
+HALF_CONTRAST = 24.0
 
 Channels = Annotated[int, Field(ge=1, le=1_024)]
 Width = Annotated[int, Field(ge=1, le=8_192)]
@@ -368,6 +369,13 @@ class PPOSettings(Config):
     final_deviation: Annotated[float, Field(gt=0.0, le=10.0)] | None = None
     """Largest standard deviation at the end, to which it falls linearly, so that the policy learns to do without the
     noise; None: the deviation is learned freely."""
+    divergence: Annotated[float, Field(gt=0.0, le=10.0)] | None = None
+    """Kullback-Leibler divergence from the policy that flew which gradient steps are to keep: the learning rate, at
+    most as scheduled, falls by a third above twice and rises by half below half of it. None: as scheduled."""
+    half_contrast: Annotated[float, Field(gt=0.0, le=1e6)] = HALF_CONTRAST
+    """Distance from "no events", in grey levels, that the network sees at half strength."""
+    precision: Literal["float32", "bfloat16"] = "float32"
+    """Of what the network computes in training; bfloat16 halves a GPU's time on pictures."""
 
     def check_samples(self, environments: int) -> None:
         """Raise UserError unless the minibatches divide the samples of a rollout in at least two samples each."""

@@ -14,7 +14,8 @@ import shutil
 import zipfile
 import zlib
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Sequence
+from collections import defaultdict
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -223,7 +224,7 @@ DAMAGE = (
 
 
 def save_checkpoint(folder: Path, learner: Learner) -> None:
-    """Save the states of the learner and of its games, lane n's under "n."; older checkpoints are removed."""
+    """Save the states of the learner and of its games; older checkpoints are removed."""
     checkpoint, state = folder / f"{learner.games:07d}", learner.get_state()
     shutil.rmtree(checkpoint, ignore_errors=True)
     checkpoint.mkdir(parents=True)
@@ -231,9 +232,7 @@ def save_checkpoint(folder: Path, learner: Learner) -> None:
     with naming(path), path.open("wb") as file:  # to a name torch would write with errors of its own
         cuda_states = th.cuda.get_rng_state_all() if th.cuda.is_available() else []
         th.save({**state.tensors, "cuda": cuda_states}, file)
-    games: list[State] = _call_each(learner.lanes, "get_state", [()] * learner.lanes.num_envs)
-    running = {f"{n}.{key}": each for n, game in enumerate(games) for key, each in game.items()}
-    for name, arrays in (("buffer.npz", state.arrays), ("games.npz", running)):
+    for name, arrays in (("buffer.npz", state.arrays), ("games.npz", _columns(_states(learner.lanes)))):
         with naming(checkpoint / name), (checkpoint / name).open("wb") as file:
             np.savez(file, **arrays)
     with replacing(checkpoint / _COMPLETE) as file:
@@ -257,15 +256,10 @@ def games_of(checkpoint: Path) -> int:
 def load_checkpoint(checkpoint: Path, learner: Learner) -> None:
     """Restore learner, games and all generators. Raises UserError if it is damaged or has another number of lanes."""
     with _undamaged(checkpoint):
-        plain, running = _plain(checkpoint), _read_arrays(checkpoint / "games.npz")
-        count = len({name.partition(".")[0] for name in running})
-        if learner.lanes.num_envs != count:
-            raise UserError(f"the checkpoint has {count} environments; go on with as many")
-        lanes: list[State] = [{} for _ in range(count)]
-        for name, array in running.items():
-            lane, _, key = name.partition(".")
-            lanes[int(lane)][key] = array
-        observations = stacked_observations(_call_each(learner.lanes, "set_state", [(each,) for each in lanes]))
+        plain, games = _plain(checkpoint), _rows(_read_arrays(checkpoint / "games.npz"))
+        if learner.lanes.num_envs != len(games):
+            raise UserError(f"the checkpoint has {len(games)} environments; go on with as many")
+        observations = _restore(learner.lanes, games)
         with open_bounded(checkpoint / "learner.pt", MOST_BYTES) as file:
             tensors = th.load(file, weights_only=True, map_location="cpu")
         arrays = _read_arrays(checkpoint / "buffer.npz")
@@ -299,8 +293,37 @@ def _read_arrays(path: Path) -> dict[str, NDArray[np.generic]]:
         return dict(arrays)
 
 
-def _call_each(lanes: Any, name: str, arguments: Sequence[tuple[object, ...]]) -> list[Any]:
-    """Call a method of every environment of a batch, or with every lane of a GPU's."""
+def _states(lanes: Any) -> list[State]:
+    states: list[State] = (
+        lanes.call_each("get_state", [()] * lanes.num_envs) if isinstance(lanes, TurnBatch) else lanes.get_states()
+    )
+    return states
+
+
+def _restore(lanes: Any, states: Sequence[State]) -> Any:
+    """Restore the states of all lanes, and return their observations."""
     if isinstance(lanes, TurnBatch):
-        return lanes.call_each(name, arguments)
-    return [getattr(lanes, name)(lane, *argument) for lane, argument in enumerate(arguments)]
+        return stacked_observations(lanes.call_each("set_state", [(state,) for state in states]))
+    return lanes.set_states(states)
+
+
+def _columns(states: Sequence[State]) -> dict[str, NDArray[Any]]:
+    """Return states as few arrays: those of one shape stacked, as "all:" and their key, others each under its lane."""
+    columns: dict[str, NDArray[Any]] = {}
+    for key in dict.fromkeys(key for state in states for key in state):
+        parts = {lane: np.asarray(state[key]) for lane, state in enumerate(states) if key in state}
+        if len(parts) == len(states) and len({part.shape for part in parts.values()}) == 1:
+            columns[f"all:{key}"] = np.stack(list(parts.values()))
+        else:
+            columns |= {f"{lane}:{key}": part for lane, part in parts.items()}
+    return columns
+
+
+def _rows(columns: Mapping[str, NDArray[Any]]) -> list[State]:
+    """Return the states of `_columns`."""
+    rows: dict[int, State] = defaultdict(dict)
+    for name, column in columns.items():
+        lane, _, key = name.partition(":")
+        for row, part in enumerate(column) if lane == "all" else [(int(lane), column)]:
+            rows[row][key] = part
+    return [rows[lane] for lane in sorted(rows)]

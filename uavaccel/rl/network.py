@@ -14,15 +14,17 @@ from numpy.typing import NDArray
 from torch import nn
 
 from uavaccel.envs.arrays import mapped, named_leaves, picture_of
+from uavaccel.rl.config import HALF_CONTRAST
 from uavaccel.vision.dvs_sensor import NEUTRAL_LEVEL
 
-HALF_CONTRAST = 24.0  # grey levels from neutral that are seen at half strength
 
+def contrast(levels: th.Tensor, half: float = HALF_CONTRAST) -> th.Tensor:
+    """Turn float grey levels, in place, into the network's input of -1 to 1, 0 for "no events".
 
-def contrast(levels: th.Tensor) -> th.Tensor:
-    """Turn float grey levels, in place, into the network's input of -1 to 1, 0 for "no events"."""
+    A level `half` from neutral is seen at half strength.
+    """
     distance = levels.sub_(NEUTRAL_LEVEL)
-    return distance.div_(distance.abs().add_(HALF_CONTRAST))
+    return distance.div_(distance.abs().add_(half))
 
 
 class LaneFeatures(nn.Module):

@@ -15,7 +15,8 @@ from torch import nn
 from torch.nn import functional
 
 from uavaccel.kernels.cuda import grid, shared
-from uavaccel.rl.network import HALF_CONTRAST, LaneFeatures, QNetwork
+from uavaccel.rl.config import HALF_CONTRAST
+from uavaccel.rl.network import LaneFeatures, QNetwork
 from uavaccel.vision.dvs_sensor import NEUTRAL_LEVEL
 
 LOW = th.bfloat16

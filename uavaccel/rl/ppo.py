@@ -24,6 +24,7 @@ import torch as th
 from gymnasium import spaces
 from pydantic import Field
 from torch import nn
+from torch.nn import functional
 
 from uavaccel.config import Count, Seed
 from uavaccel.envs.batch import TurnBatch
@@ -39,6 +40,7 @@ from uavaccel.units import NS_PER_S
 Parts: TypeAlias = dict[str, th.Tensor]
 
 NEAR_M = 15.0  # depth from which on all is equally far
+SLOWEST = 1e-5  # learning rate below which no divergence brings it
 LOG_ROOT_TWO_PI, LOG_ROOT_TWO_PI_E = 0.5 * math.log(2 * math.pi), 0.5 * math.log(2 * math.pi * math.e)
 
 
@@ -86,6 +88,30 @@ def boxes_of(space: spaces.Space[Any]) -> dict[str, spaces.Box]:
     return found  # type: ignore[return-value]
 
 
+class FirstLayer(nn.Conv2d):
+    """A convolution of 5 x 5 pixels with stride 2, of pictures (n, channels, rows, columns) or of their blocks.
+
+    Blocks have each 2 x 2 pixels as channels, which a GPU convolves faster.
+    """
+
+    def __init__(self, before: int, after: int) -> None:
+        super().__init__(before, after, 5, stride=2, padding=2)
+
+    def forward(self, seen: th.Tensor) -> th.Tensor:
+        """Return what is the same for pictures and for their blocks, but for rounding."""
+        if seen.shape[1] == self.in_channels:
+            return super().forward(seen)
+        weight = functional.pixel_unshuffle(functional.pad(self.weight, (0, 1, 0, 1)), 2)
+        return functional.conv2d(seen, weight, self.bias, padding=1)
+
+
+def blocks(pictures: th.Tensor) -> th.Tensor:
+    """Return pictures (n, channels, rows, columns) as blocks (n, rows / 2, columns / 2, 4 channels), rounded up."""
+    rows, columns = pictures.shape[2:]
+    found = functional.pixel_unshuffle(functional.pad(pictures, (0, columns % 2, 0, rows % 2)), 2)
+    return found.permute(0, 2, 3, 1)
+
+
 class ActorCritic(nn.Module):
     """Mean actions and values of observations: convolutions for each picture, then layers that all parts share.
 
@@ -94,7 +120,8 @@ class ActorCritic(nn.Module):
 
     def __init__(self, space: spaces.Space[Any], actions: int, options: PPOOptions, sees: str = "") -> None:
         super().__init__()
-        self.sees, self.parts, width = sees, tuple(boxes_of(space)), 0
+        self.sees, self.half_contrast = sees, options.half_contrast
+        self.parts, width = tuple(boxes_of(space)), 0
         self.eyes = nn.ModuleDict()
         for name, box in boxes_of(space).items():
             if len(box.shape) < 3:
@@ -102,8 +129,9 @@ class ActorCritic(nn.Module):
                 continue
             layers: list[nn.Module] = []
             for number, (before, after) in enumerate(pairwise((box.shape[0], *options.channels))):
-                size, room = (5, 2) if number == 0 else (3, 1)
-                layers += [_scaled(nn.Conv2d(before, after, size, stride=2, padding=room), 2**0.5), nn.ReLU()]
+                first = number == 0
+                layer = FirstLayer(before, after) if first else nn.Conv2d(before, after, 3, stride=2, padding=1)
+                layers += [_scaled(layer, 2**0.5), nn.ReLU()]
             eye = nn.Sequential(*layers, nn.Flatten())
             width += int(eye(th.zeros(1, *box.shape)).shape[1])
             self.eyes[name] = eye
@@ -115,9 +143,17 @@ class ActorCritic(nn.Module):
 
     def forward(self, inputs: Parts) -> tuple[th.Tensor, th.Tensor]:
         """Return mean actions (n, actions) and values (n,) for the `inputs` of observations."""
+        return self.rate(self.features(inputs))
+
+    def features(self, inputs: Parts) -> th.Tensor:
+        """Return what mean actions and values are computed from (n, width)."""
         looks = {name: eye(inputs[name]) for name, eye in self.eyes.items()}
         parts = [looks[name] if name in looks else inputs[name].flatten(1) for name in self.parts]
-        features = self.body(th.cat(parts, 1))
+        features: th.Tensor = self.body(th.cat(parts, 1))
+        return features
+
+    def rate(self, features: th.Tensor) -> tuple[th.Tensor, th.Tensor]:
+        """Return mean actions (n, actions) and values (n,) of features (n, width)."""
         return self.mean(features), self.value(features)[:, 0]
 
     def inputs(self, seen: Parts) -> Parts:
@@ -127,7 +163,7 @@ class ActorCritic(nn.Module):
     def _levels(self, picture: th.Tensor) -> th.Tensor:
         """Return levels 0 to 255 as -1 to 1; faint events are amplified, and depth is told apart up to NEAR_M."""
         if self.sees == "dvs":
-            return contrast(picture.to(th.float32, copy=True))
+            return contrast(picture.to(th.float32, copy=True), self.half_contrast)
         if self.sees == "depth":
             return 1.0 - (picture.float() * (DEPTH_FAR_M / 255 / NEAR_M)).clamp(max=1.0)
         return picture.float() / 127.5 - 1.0
@@ -170,6 +206,7 @@ class PPO:
         rate = th.tensor(options.learning_rate, device=self.device)
         self.optimizer = Adam(self.policy.parameters(), rate, eps=1e-5, capturable=on_gpu, fused=on_gpu or None)
         self.commands = 0
+        self._rounds = options.precision == "bfloat16"
         self._allocate(space.shape[0])
         works = self._act, self._estimate, self._descend
         self._do_act, self._do_estimate, self._do_descend = (recorded(work, self.device) for work in works)
@@ -177,10 +214,10 @@ class PPO:
     def _allocate(self, actions: int) -> None:
         count, steps, device = self.env.num_envs, self.options.rollout, self.device
         zeros: Callable[..., th.Tensor] = lambda *shape, **kind: th.zeros(shape, device=device, **kind)  # noqa: E731
-        self._now: Parts = {}
-        self._seen: Parts = {}
-        for name, box in boxes_of(self.env.single_observation_space).items():
-            self._now[name], self._seen[name] = zeros(count, *box.shape), zeros(steps, count, *box.shape)
+        boxes = boxes_of(self.env.single_observation_space)
+        inputs = self._inputs({name: zeros(1, *box.shape) for name, box in boxes.items()})
+        self._now = {name: zeros(count, *part.shape[1:], dtype=part.dtype) for name, part in inputs.items()}
+        self._seen = {name: zeros(steps, *now.shape, dtype=now.dtype) for name, now in self._now.items()}
         self._chosen, self._action = zeros(steps, count, actions), zeros(count, actions)
         self._chances, self._values, self._rewards, self._going, self._gains, self._targets = (
             zeros(steps, count) for _ in range(6)
@@ -189,6 +226,7 @@ class PPO:
         self._batch = zeros(count * steps // self.options.minibatches, dtype=th.int64)
         self._tally = zeros(3, dtype=th.float64)  # games ended, games won, sum of rewards
         self._most = th.full((), math.inf, device=device)
+        self._fastest = th.zeros((), device=device)
 
     def learn(self) -> Iterator[Progress]:
         """Train until all commands are flown; yield after each round."""
@@ -204,7 +242,8 @@ class PPO:
         `left` is the share of the training that is left, from 1 to 0.
         """
         for group in self.optimizer.param_groups:
-            group["lr"].fill_(rate_share * self.options.learning_rate)
+            most = self._fastest if self.options.divergence else group["lr"]
+            most.fill_(rate_share * self.options.learning_rate)
         if (last := self.options.final_deviation) is not None:
             self._most.fill_(math.log(last + left * (self.options.first_deviation - last)))
         self._tally.zero_()
@@ -228,8 +267,25 @@ class PPO:
 
     def look(self, observations: Any) -> None:
         """Take the observations (environments, ...) that are to be acted on next."""
-        for name, part in self.policy.inputs(parts_of(observations, self.device)).items():
+        for name, part in self._inputs(parts_of(observations, self.device)).items():
             self._now[name].copy_(part)
+
+    def _inputs(self, seen: Parts) -> Parts:
+        inputs: Parts = self.policy.inputs(seen)
+        if not self._rounds:
+            return inputs
+        return {name: blocks(part.bfloat16()) if name in self.policy.eyes else part for name, part in inputs.items()}
+
+    def _rate(self, inputs: Parts) -> tuple[th.Tensor, th.Tensor]:
+        """Return the policy's mean actions and values; in bfloat16 all but the last layers are."""
+        if not self._rounds:
+            rated: tuple[th.Tensor, th.Tensor] = self.policy(inputs)
+            return rated
+        pictures = {name: inputs[name].permute(0, 3, 1, 2) for name in self.policy.eyes}
+        with th.autocast(self.device.type, th.bfloat16, cache_enabled=False):
+            features = self.policy.features({**inputs, **pictures})
+        found: tuple[th.Tensor, th.Tensor] = self.policy.rate(features.float())
+        return found
 
     def _fly(self, step: int) -> None:
         """Fly one command in every environment, and note what came of it."""
@@ -248,7 +304,7 @@ class PPO:
     @th.no_grad()
     def _act(self) -> None:
         """Choose actions for what is seen now, and store all that learning needs of it."""
-        mean, value = self.policy(self._now)
+        mean, value = self._rate(self._now)
         self._action.copy_(mean + self._log_deviation().exp() * th.randn_like(mean))
         for name, part in self._now.items():
             self._seen[name].index_copy_(0, self._step, part[None])
@@ -276,7 +332,7 @@ class PPO:
     def _estimate(self) -> None:
         """Compute advantages and returns of the rollout."""
         gamma, smoothing = self.options.gamma, self.options.smoothing
-        after, gain = self.policy(self._now)[1], th.zeros_like(self._values[0])
+        after, gain = self._rate(self._now)[1], th.zeros_like(self._values[0])
         for step in reversed(range(self.options.rollout)):
             going = self._going[step]
             surprise = self._rewards[step] + gamma * going * after - self._values[step]
@@ -291,8 +347,11 @@ class PPO:
         action, before, gain, target = (
             part.flatten(0, 1)[batch] for part in (self._chosen, self._chances, self._gains, self._targets)
         )
-        mean, value = self.policy(seen)
-        ratio = (self._chance(mean, action) - before).exp()
+        mean, value = self._rate(seen)
+        log_ratio = self._chance(mean, action) - before
+        ratio = log_ratio.exp()
+        if options.divergence:
+            self._pace((ratio - 1.0 - log_ratio).mean().detach(), options.divergence)
         gain = (gain - gain.mean()) / (gain.std() + 1e-8)
         objective = th.min(gain * ratio, gain * ratio.clamp(1.0 - options.clip, 1.0 + options.clip)).mean()
         entropy = (self._log_deviation() + LOG_ROOT_TWO_PI_E).sum()
@@ -302,6 +361,12 @@ class PPO:
         loss.backward()
         nn.utils.clip_grad_norm_(self.policy.parameters(), options.max_grad_norm)
         self.optimizer.step()
+
+    def _pace(self, divergence: th.Tensor, aim: float) -> None:
+        """Change the learning rate by how far the policy is from that which flew (Schulman's estimator k3)."""
+        for group in self.optimizer.param_groups:
+            factor = th.where(divergence > 2.0 * aim, 2 / 3, th.where(divergence < 0.5 * aim, 1.5, 1.0))
+            group["lr"].copy_(th.minimum((group["lr"] * factor).clamp(min=SLOWEST), self._fastest))
 
 
 def options_of(config: LearnerConfig) -> PPOOptions:
