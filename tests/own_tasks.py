@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import fields, replace
+from dataclasses import fields
 from typing import Any, ClassVar, Self
 
 import numpy as np
 from gymnasium import spaces
 
 from uavaccel.envs.flight_env import FlightEnv
-from uavaccel.envs.obstacle_lane import LaneTask
 from uavaccel.envs.task import Task, distance
 from uavaccel.envs.values import Action, AnyMoment, Course, Info, Number
 from uavaccel.kinematics import BodyRatesGoal, Kinematics, VelocityGoal
-from uavaccel.vision.dvs_sensor import DvsParameters
 
 
 class PostTask(Task):
@@ -84,20 +82,6 @@ class PostTask(Task):
 
 class Post(FlightEnv[PostTask]):
     task_class = PostTask
-
-
-class RestingTask(LaneTask):
-    """The obstacle lane, seen by an event camera whose pixels rest as long as asked."""
-
-    refractory_s: float = 0.0
-
-    @property
-    def dvs_parameters(self) -> DvsParameters:
-        return replace(super().dvs_parameters, refractory_s=self.refractory_s)
-
-
-class Resting(FlightEnv[RestingTask]):
-    task_class = RestingTask
 
 
 class SpinTask(Task):

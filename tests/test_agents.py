@@ -424,7 +424,10 @@ def test_a_policy_that_was_exported_flies_as_the_policy_does(task: dict[str, Any
     config = tiny_config(task)
     export_policy(Path("policy"), make_policy(config), config, {})
     policy = load_policy(Path("policy"))
-    assert write_onnx(policy, Path("model.onnx")) == OnnxFile("model.onnx").metadata
+    about, written = write_onnx(policy, Path("model.onnx")), OnnxFile("model.onnx")
+    assert about == written.metadata
+    names = [[each.name for each in part()] for part in (written._session.get_inputs, written._session.get_outputs)]
+    assert names == [["seen", "told"][: 1 + ("knows" in task)], ["ratings", "action"]]
     evaluation, usual = (configured("evaluate", agent=agent) for agent in ("model.onnx", "policy"))
     assert evaluation.task == usual.task
     seen = np.random.default_rng(0).integers(0, 256, (9, *config.task.observation_space().shape), np.uint8)

@@ -151,23 +151,23 @@ def test_lanes_answer_by_themselves_until_one_dies(monkeypatch: pytest.MonkeyPat
     """
     monkeypatch.delenv("MUJOCO_GL", raising=False)
     monkeypatch.setattr(gl, "_first_that_works", lambda: None)
-    batch = EnvironmentBatch(ObstacleLane, 2, 2, observation="state", timing="virtual")
+    batch = EnvironmentBatch(ObstacleLane, 3, 2, observation="state", timing="virtual")
     with closing(batch), singles(2, observation="state", timing="virtual") as alone:
         with pytest.raises(UserError, match="reset the environment"):
-            batch.step([2, 2])
+            batch.step([2, 2, 2])
         batch.reset(seed=1)
         batch.step_async([3], slots=[1])
         with pytest.raises(BatchError, match="environment 1 is still flying"):
-            batch.step_async([2, 2])
+            batch.step_async([2, 2, 2])
         batch.step_wait(slots=[0])
         batch.step_wait(slots=[1])
         batch.call_each("charge", [(0.5, "learning")], slots=[1])
-        states = batch.call_each("get_state", [(), ()])
+        states = batch.call_each("get_state", [()] * 3)
         np.testing.assert_array_equal(alone[1].set_state(states[1]), batch.observations()[1])
-        assert alone[1].step(2)[0].tobytes() == batch.step([2, 2])[0][1].tobytes()
-        os.kill(batch.process_ids[1], signal.SIGKILL)
-        with pytest.raises(BatchError, match=r"^the process of environment 1 ended with status -9$"):
-            batch.step([2, 2])
+        assert alone[1].step(2)[0].tobytes() == batch.step([2, 2, 2])[0][1].tobytes()
+        os.kill(batch.process_ids[0], signal.SIGKILL)
+        with pytest.raises(BatchError, match=r"^the process of environment 2 ended with status -9$"):
+            batch.call_each("get_state", [()], slots=[2])
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="elsewhere OpenGL needs no choice")

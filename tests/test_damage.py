@@ -156,6 +156,7 @@ def emptied_and_agreed(folder: Path) -> None:
     (weights_by(lambda tensor: tensor.to(th.complex64)), r"policy\.pt: .* is of torch\.complex64; it should be"),
     (weights_by(lambda tensor: tensor.to(th.float64)), r"policy\.pt: .* is of torch\.float64"),
     (weights_by(lambda tensor: tensor.to_sparse()), r"policy\.pt: .* is no plain tensor"),
+    (weights_by(lambda tensor: tensor.to("meta")), r"policy\.pt: .* is no plain tensor"),
     (lambda folder: edit_manifest(folder, trained=3), r"policy\.json: trained = 3: should be a mapping"),
     (lambda folder: edit_config(folder, options={"tempo": 1}), r"policy\.json: .*unknown key 'tempo'"),
     (lambda folder: edit_config(folder, algorithm="sb3_ppo", options={"tempo": 1}),

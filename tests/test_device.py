@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from copy import deepcopy
+from importlib import import_module
 from typing import Any
 
 import gymnasium
@@ -14,9 +16,12 @@ import torch as th
 from torch.nn import functional
 
 import uavaccel.envs  # noqa: F401 - registers
+from tests.gpu_threads import Twice
 from tests.host_kernels import host_kernels  # noqa: F401 - a fixture
 from uavaccel.config import validate
 from uavaccel.envs.kernel_batch import KernelBatch
+from uavaccel.envs.kernel_games import GameMaker
+from uavaccel.envs.navigate import Navigate
 from uavaccel.envs.obstacle_lane import ObstacleLane
 from uavaccel.errors import UserError
 from uavaccel.kernels.recording import recorded
@@ -62,6 +67,36 @@ def test_resets_take_options_and_actions_are_looked_at() -> None:
                 batch.step(wrong)
     with pytest.raises(UserError, match=r"^autoreset_mode: with device = cuda it is SameStep$"):
         CudaBatch(ObstacleLane, 2, observation="state", autoreset_mode="NextStep")
+
+
+SHORT: dict[str, Any] = {"t_move_s": 0.02, "t_sample_s": 0.02, "max_commands": 1}
+SMALL: dict[str, Any] = {**SHORT, "picture_size": [17, 16], "clutter": {"shapes": 6}, "observation": "colour"}
+RESTING = {"dvs_preset": "command_line", "t_move_s": 0.002, "t_sample_s": 0.002, "observation": "dvs"}
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("host_kernels")
+def test_threads_of_a_gpu_make_what_the_host_does(monkeypatch: pytest.MonkeyPatch) -> None:
+    """In Python, each kernel of the first case that launches it; one pixel in fifty may be another at an edge."""
+    compared: Counter[str] = Counter()
+    for kind, keys in (
+        (Navigate, {**SMALL, **RESTING, "dvs_shot_noise_hz": 900.0, "image_noise": 12.0}),
+        (Navigate, {**SMALL, "image_noise": 3.0}),
+        (Navigate, {**SMALL, "observation": "depth", "picture_size": [256, 144]}),
+        (ObstacleLane, SHORT),
+        (ObstacleLane, {**SHORT, "observation": "colour", "image_noise": 2.0}),
+        (ObstacleLane, {**SHORT, "observation": "depth"}),
+    ):
+        known = {name for name, count in compared.items() if count > 30}
+        twice = Twice(GameMaker(kind(**keys).task).nominal, keys.get("picture_size") != [17, 16], known)
+        with monkeypatch.context() as patch:
+            twice.put_into(patch)
+            with closing(import_module("uavaccel.envs.cuda_batch").CudaBatch(kind, 2, **keys)) as batch:
+                batch.reset(seed=0)
+                batch.step(batch.action_space.sample() if kind is Navigate else [1, 3])
+        compared += twice.compared
+    every = "fly deal_clutter cast_gray cast_colour cast_depth start_events see_gray take_frames draw_gray see show"
+    assert min(compared[name] for name in every.split()) > 30, compared
 
 
 def test_make_vec_says_which_simulator_flies() -> None:

@@ -37,7 +37,6 @@ from uavaccel.kernels.quads import (
 )
 from uavaccel.resources import asset
 from uavaccel.sim.camera.camera import Camera, make_cameras_with
-from uavaccel.sim.camera.pixels import luma_of
 from uavaccel.sim.lane import Difficulty, LaneLayout, apply_layout, lane_seed, sample_layout
 from uavaccel.units import mujoco_to_ned, ned_to_mujoco, quaternion_mujoco_to_ned, quaternion_ned_to_mujoco
 from uavaccel.vision.dvs import PRESETS, DvsParameters, init_state, make_sensor, step
@@ -191,26 +190,6 @@ def nearest_faces(faces: NDArray[np.float32], rows: Any, columns: Any) -> NDArra
     return shown
 
 
-@pytest.mark.slow
-def test_a_pixel_alone_is_that_of_the_picture(appearance: Appearance) -> None:
-    """Column 100 of a picture, and row 70 of its depths."""
-    arguments = laid_out(appearance, drawn_views(6, seed=4))
-    faces, rows, columns = np.zeros((at.FACES, at.FIELDS), np.float32), np.arange(at.ROWS), np.arange(at.COLUMNS)
-    pictures, depths_of = render_lanes("gray", *arguments), render_lanes("depth", *arguments)
-    for number, (picture, depths) in enumerate(zip(pictures, depths_of, strict=True)):
-        scene = appearance, arguments[1], number, arguments[3][number], arguments[4][number]
-        faces_of.project(*scene, True, faces)
-        alone = [
-            luma_of(*rays.colour_of(faces, face, appearance.texels, appearance.textures, row, 100))
-            for row, face in enumerate(nearest_faces(faces, rows, 100).tolist())
-        ]
-        assert np.sum(alone != picture[:, 100]) <= 1
-        faces_of.project(*scene, False, faces)
-        shown = nearest_faces(faces, 70, columns)
-        w = np.where(shown > 0, linear(faces, shown, at.W, 70, columns), faces[0, at.FAR_W])
-        assert np.mean(np.abs(1 / w / depths[70] - 1) > 1e-5) <= 0.01
-
-
 def test_tiles_touch_every_face_that_they_show(appearance: Appearance) -> None:
     for view in drawn_views(8, seed=5):
         arguments = laid_out(appearance, [view])
@@ -325,17 +304,6 @@ def see_both(levels: Any, camera: Any, sensor: Any, plain: Any, full: Any) -> tu
     return quick, slow
 
 
-def test_a_lanes_camera_has_each_parameter_under_its_name() -> None:
-    parameters = DvsParameters(0.1, 0.3, 0.02, 50.0, 0.4, 0.05, 0.9, 6.0, 0.007, 0.08)
-    camera = events.camera_row(parameters, 2.5)
-    expected = {
-        events.POSITIVE: 0.1, events.NEGATIVE: 0.3, events.SIGMA: 0.02, events.TAU: 1 / (100 * np.pi),
-        events.LEAK: 0.4, events.JITTER: 0.05, events.SHOT: 6.0, events.REFRACTORY: 0.007, events.HOT: 0.08,
-        events.READ: 2.5,
-    }  # fmt: skip
-    assert dict(enumerate(camera.tolist())) == pytest.approx(expected)
-
-
 def test_a_pixel_rises_by_one_threshold_and_falls_by_the_other() -> None:
     """Of 0.25 and 0.5 without a spread, from 50 to 100, by 0.693, and back: two whole steps up, one down."""
     parameters, shape = DvsParameters(0.25, 0.5, threshold_sigma=0.0), (at.ROWS, at.COLUMNS)
@@ -349,7 +317,7 @@ def test_a_pixel_rises_by_one_threshold_and_falls_by_the_other() -> None:
         np.testing.assert_array_equal(plain[0], full)
 
 
-@pytest.mark.parametrize(("sigma", "negative"), [(0.0, 0.2), (0.05, 0.2), (0.05, 0.3)])
+@pytest.mark.parametrize(("sigma", "negative"), [(0.0, 0.2), (0.0, 0.004), (0.05, 0.2), (0.05, 0.3)])
 def test_quads_without_noise_see_what_pixels_see(sigma: float, negative: float) -> None:
     rng, shape = np.random.default_rng(0), (at.ROWS, at.COLUMNS)
     parameters = replace(PRESETS["clean"], threshold_sigma=sigma, negative_threshold=negative)
@@ -362,25 +330,6 @@ def test_quads_without_noise_see_what_pixels_see(sigma: float, negative: float) 
         np.testing.assert_array_equal(plain[0], full)
 
 
-@kept()
-def see_apart(levels: Any, time_s: float, camera: Any, sensor: Any, pixels: Any, seed: int) -> Any:
-    """As threads of a GPU see a picture, of four pixels each: they find the largest count, then begin anew."""
-    signed, most = np.zeros(levels.shape, np.int64), np.ones(1, np.int32)
-    filtered = pixels.filtered[0] if pixels.filtered.size else pixels.filtered[0:0, 0]
-    for counting in (1, 0):
-        rest = events.Rest(pixels.last_s, most, counting)
-        for block in range(levels.size // 4):
-            normals, draws = events.block_draws(camera, seed, pixels.clock[0] + 1, block)
-            for number in range(4):
-                y, x = divmod(4 * block + number, levels.shape[1])
-                signed[y, x] += events.update_pixel(
-                    *(levels[y, x], camera, sensor, pixels.base[0], filtered, (normals[number], draws[number])),
-                    *(y, x, (0, pixels.time_s[0], time_s), rest),
-                )
-    pixels.clock[0], pixels.time_s[0] = pixels.clock[0] + 1, time_s
-    return signed
-
-
 NOISES: dict[str, dict[str, float]] = {
     "plain": {},
     "leak": {"leak_rate_hz": 40.0, "leak_jitter_fraction": 0.1, "leak_rate_spread_decades": 0.1, "hot_share": 0.1},
@@ -391,30 +340,26 @@ NOISES: dict[str, dict[str, float]] = {
 
 @pytest.mark.parametrize("noise", NOISES.values(), ids=NOISES)
 @pytest.mark.parametrize("refractory_s", [0.0001, 0.0005, 0.01])
-def test_pixels_rest_as_v2es_do_one_by_one_and_all_at_once(refractory_s: float, noise: dict[str, float]) -> None:
+def test_pixels_rest_as_v2es_do(refractory_s: float, noise: dict[str, float]) -> None:
     """Frames come 1 to 20 ms after one another, and a pixel has up to several tens of events in one."""
     rng, shape, seed, now_ns, rests = np.random.default_rng(1), (24, 32), 5, 0, 0
     parameters = DvsParameters(threshold_sigma=0.05, refractory_s=refractory_s, **noise)
     sensor, row = events.sensor_of(sample_pixels(parameters, shape, 3)), events.camera_row(parameters)
-    apart, whole = (events.pixels_of(1, parameters, shape, shape) for _ in range(2))
+    pixels = events.pixels_of(1, parameters, shape, shape)
     levels, v2es = rng.integers(0, 256, shape, np.uint8), make_sensor(parameters, shape, 3)
     restless = v2es._replace(parameters=replace(parameters, refractory_s=0.0))
     state = init_state(v2es, levels, noise_seed=seed)
-    for pixels in (apart, whole):
-        cpu.start(0, levels, pixels, sensor, row)
+    cpu.start(0, levels, pixels, sensor, row)
     for _ in range(40):
         now_ns += int(rng.choice([1, 2, 7, 20])) * 1_000_000
         levels = np.where(rng.random(shape) < 0.4, rng.integers(0, 256, shape, np.uint8), levels)
         before, time_s = state, now_ns * events.NS
-        signed = see_apart(levels, time_s, tuple(row), sensor, apart, seed)
-        whole.gathered[:] = 0
-        cpu.see(0, levels, time_s, whole, sensor, row, seed)
+        pixels.gathered[:] = 0
+        cpu.see(0, levels, time_s, pixels, sensor, row, seed)
         state, on, off = step(v2es, before, levels, time_s)
-        for counts in (signed, whole.gathered[0]):
-            np.testing.assert_array_equal(counts, on - off)
-        for pixels in (apart, whole):
-            np.testing.assert_array_equal(pixels.base[0], state.base_log)
-            np.testing.assert_array_equal(pixels.last_s[0], state.last_event_s)
-            np.testing.assert_array_equal(pixels.filtered, state.filtered_log[None][: len(pixels.filtered)])
+        np.testing.assert_array_equal(pixels.gathered[0], on - off)
+        np.testing.assert_array_equal(pixels.base[0], state.base_log)
+        np.testing.assert_array_equal(pixels.last_s[0], state.last_event_s)
+        np.testing.assert_array_equal(pixels.filtered, state.filtered_log[None][: len(pixels.filtered)])
         rests += int(np.sum(step(restless, before, levels, time_s)[1:]) - on.sum() - off.sum())
     assert rests > 500

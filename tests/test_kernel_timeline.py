@@ -11,8 +11,6 @@ import numpy as np
 import pytest
 from scipy.stats import ks_2samp
 
-from tests.lanes import mostly_ahead
-from tests.opengl import needs_opengl
 from uavaccel.envs.flight_env import FlightEnv
 from uavaccel.envs.hover import Hover
 from uavaccel.envs.kernel_batch import KernelBatch
@@ -87,26 +85,6 @@ def test_latencies_are_distributed_as_the_exact_simulators(command: str, profile
     assert len(np.unique(ours)) > 0.9 * len(ours)
 
 
-def test_no_latency_reaches_native_tcsc() -> None:
-    """Whatever is drawn, the games are lockstep's; their clocks are not."""
-    faults: dict[str, Any] = {
-        "platform": {"faults": {"dropped": 0.05, "stalled": 0.1, "late": 0.2}, "stall_us": 40_000.0}
-    }
-    still: dict[str, Any] = {"observation": "state", "max_commands": 30}
-    drawn = {**still, "timing": "virtual", "latency": faults, "clock_speed": 50.0}
-    with (
-        closing(KernelBatch(ObstacleLane, 8, **still)) as calm,
-        closing(KernelBatch(ObstacleLane, 8, **drawn)) as hurried,
-    ):
-        assert (calm.reset(seed=1)[0] == hurried.reset(seed=1)[0]).all()
-        for actions in mostly_ahead(8, 40):
-            hurried.call_each("charge", [(0.7, "learning")] * 8)
-            expected, found = calm.step(actions), hurried.step(actions)
-            assert expected[0].tobytes() == found[0].tobytes()
-            assert all((a == b).all() for a, b in zip(expected[1:4], found[1:4], strict=True))
-        assert (found[4]["wall_s"] != expected[4]["wall_s"]).all()
-
-
 def test_the_machines_time_is_shared_by_the_lanes_that_flew(monkeypatch: pytest.MonkeyPatch) -> None:
     """On a clock that goes on by a second whenever it is looked at, of two lanes and then of three."""
     seconds = count(0)
@@ -134,27 +112,3 @@ def test_ages_are_those_at_the_collision() -> None:
         assert (over.tolist(), infos["collision"].tolist()) == ([True], ["obstacle_00"])
         bands = seen[0, -1].reshape(3, 12, 64)
         assert [np.unique(band).tolist() for band in bands] == [[128 + 33], [128 + 17], [128]]
-
-
-def test_a_games_latency_scale_is_that_of_its_messages() -> None:
-    walls = []
-    for keys in ({"randomise": {"latency_scale": [2.5, 2.5]}}, {"latency": constant(scale=2.5)}, {}):
-        task: dict[str, Any] = {"observation": "state", "timing": "virtual", "clock_speed": 10.0}
-        task |= {"latency": constant(), **keys}
-        with closing(KernelBatch(ObstacleLane, 1, **task)) as batch:
-            batch.reset(seed=1)
-            walls.append(float(batch.step([2])[4]["wall_s"][0]))
-    assert walls[0] == walls[1] > walls[2]
-
-
-@needs_opengl
-def test_frames_are_as_old_for_an_agent_as_in_the_exact_simulator() -> None:
-    """ADSC flies on while each picture is processed: 20 ms of wall time, 0.4 s at 20x."""
-    keys: dict[str, Any] = {
-        "observation": "depth", "knows": ["frame_age"], "command": "adsc", "timing": "virtual", "clock_speed": 20.0,
-        "image_processing_s": 0.02, "latency": constant(),
-    }  # fmt: skip
-    with closing(KernelBatch(ObstacleLane, 1, **keys)) as batch, closing(ObstacleLane(**keys)) as alone:
-        batch.reset(seed=1)
-        alone.reset(seed=1)
-        np.testing.assert_array_equal(batch.step([2])[0][0][-1], alone.step(2)[0][-1])

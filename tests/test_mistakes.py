@@ -1,4 +1,4 @@
-"""Wrong calls in Python, and what is said of each: lines of tests/data/mistakes.txt, below the module of each."""
+"""Wrong calls in Python, and what is said of them: lines of tests/data/mistakes.txt, below the module of each."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ def mistakes() -> Iterator[tuple[str, str, str]]:
     for block in TABLE.read_text(encoding="utf-8").split("\n\n"):
         module, *lines = block.splitlines()
         for line in lines:
-            call, said = line.split(" -> ")
-            yield module, call, said
+            calls, said = line.split(" -> ")
+            yield from ((module, call, said) for call in calls.split(" ; "))
 
 
 @pytest.mark.parametrize(("module", "call", "said"), [*mistakes()])

@@ -156,11 +156,19 @@ def test_advantages_are_sums_of_discounted_surprises() -> None:
     np.testing.assert_allclose(ppo._targets.numpy(), ppo._gains.numpy() + values, atol=1e-6)
 
 
-def test_events_are_seen_about_their_neutral_grey() -> None:
-    for half in (24.0, 4.0):
-        network = ActorCritic(spaces.Box(0, 255, (1, 12, 12), np.uint8), 2, options(half_contrast=half), sees="dvs")
-        levels = network._levels(th.tensor([[128, 128 + half, 128 - half, 255]]).byte())
-        np.testing.assert_allclose(levels[0].numpy(), [0.0, 0.5, -0.5, 127 / (127 + half)], rtol=1e-6)
+@pytest.mark.parametrize(
+    ("sees", "half", "levels", "expected"),
+    [
+        ("dvs", 24.0, [128, 152, 104, 255], [0.0, 0.5, -0.5, 127 / 151]),
+        ("dvs", 4.0, [128, 132, 124, 255], [0.0, 0.5, -0.5, 127 / 131]),
+        ("depth", 24.0, [0, 51, 77, 255], [1.0, 1.0 - 10 / 15, 0.0, 0.0]),  # 50 m are 255; from 15 m on all is as far
+        ("colour", 24.0, [0, 51, 255, 102], [-1.0, -0.6, 1.0, -0.2]),
+    ],
+)
+def test_levels_are_seen_as_what_they_show(sees: str, half: float, levels: list[int], expected: list[float]) -> None:
+    network = ActorCritic(spaces.Box(0, 255, (1, 12, 12), np.uint8), 2, options(half_contrast=half), sees=sees)
+    seen = network._levels(th.tensor([levels], dtype=th.uint8))
+    np.testing.assert_allclose(seen[0].numpy(), expected, atol=1e-6)
 
 
 @pytest.mark.parametrize(

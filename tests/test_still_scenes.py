@@ -81,13 +81,6 @@ def not_in_tiles(scene: Any, camera: Any, eye: Any, size: Any, met: Any) -> int:
     return missed
 
 
-@kept(error_model="numpy")
-def handed_on(row: Any, eye: Any) -> Any:
-    """An eye as a GPU's kernels hand it from one to the next."""
-    casting.put_eye(row, eye)
-    return casting.get_eye(row)
-
-
 def kinematic(model: mujoco.MjModel) -> mujoco.MjData:
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
@@ -133,7 +126,6 @@ def test_a_picture_sees_only_what_its_tiles_have() -> None:
         place = place + random.normal(size=3) * (0.2 if number % 2 else 4.0)
         axes = np.linalg.qr(random.normal(size=(3, 3)))[0]
         eye = tuple(place.astype(np.float32)), tuple(map(tuple, axes.astype(np.float32))), np.float32(FAR_M)
-        assert handed_on(np.zeros(casting.EYE_FIELDS, np.float32), eye) == eye
         met = np.zeros(size, np.int64)
         assert not_in_tiles(scene, camera, eye, size, met) == 0
         seen |= set(met.ravel().tolist())
