@@ -37,6 +37,19 @@ def assert_as_recorded(name: str, text: str) -> None:
     assert recorded == text, "\n".join(["RECORD=1 pytest writes it anew; read the change:", *changes])
 
 
+def assert_numbers_as_recorded(name: str, rows: Mapping[str, Sequence[float]]) -> None:
+    """Hold numbers against the recording of that name to half a percent, since processors round differently."""
+    file = RECORDINGS / f"{name}.txt"
+    if os.environ.get("RECORD"):
+        lines = (f"{label}: {' '.join(f'{number:.5g}' for number in numbers)}\n" for label, numbers in rows.items())
+        file.write_text("".join(lines), encoding="utf-8")
+    recorded = dict(line.rsplit(": ", 1) for line in file.read_text(encoding="utf-8").splitlines())
+    assert list(rows) == list(recorded)
+    for label, numbers in rows.items():
+        then = np.array(recorded[label].split(), float)
+        np.testing.assert_allclose(numbers, then, rtol=5e-3, atol=2e-3, err_msg=label)
+
+
 def report_text(report: Report, figures: Mapping[str, Figure]) -> str:
     """A report that has been written, as text; `figures` are those of `record_figures`."""
     page = (report.run.path / "report.md").read_text(encoding="utf-8").partition("\n## Provenance")[0]

@@ -7,7 +7,7 @@ import math
 from collections.abc import Iterator, Sequence
 from contextlib import nullcontext
 from copy import deepcopy
-from itertools import pairwise
+from itertools import pairwise, product
 from types import SimpleNamespace
 from typing import Any, NamedTuple
 
@@ -15,7 +15,9 @@ import numpy as np
 import pytest
 import torch as th
 from gymnasium import spaces
+from torch.nn.utils import parameters_to_vector
 
+from tests.golden import assert_numbers_as_recorded
 from tests.host_kernels import host_kernels  # noqa: F401 - a fixture
 from tests.learning import tiny_config
 from uavaccel.errors import UserError
@@ -324,6 +326,42 @@ def test_the_target_network_follows_now_and_then(interval: int, every: int) -> N
         learner.advance()
         alike = [np.array_equal(weights_of(online)[:, part], weights_of(target)[:, part]) for part in (0, -1)]
         assert alike == [steps % every == 0] * 2
+
+
+MOVED: dict[str, dict[str, Any]] = {
+    **{f"{name} {value}": {"options": {name: value}} for name, value in (
+        ("learning_rate", 0.01), ("buffer_size", 24), ("learning_starts", 30), ("batch_size", 5), ("gamma", 0.9),
+        ("n_steps", 3), ("target_update_interval", 12), ("exploration_initial_eps", 0.4), ("exploration_fraction", 0.9),
+        ("exploration_final_eps", 0.5), ("max_grad_norm", 0.01),
+    )},
+    **{f"{name} {value}": {name: value} for name, value in (
+        ("final_learning_rate_share", 0.7), ("commands_per_gradient_step", 1), ("hidden", [5]), ("seed", 3),
+    )},
+}  # fmt: skip
+
+
+def test_each_setting_changes_what_is_learned_as_recorded() -> None:
+    """In the middle and at the end: exploration, learning rate, loss, mean value, weights of both networks, actions."""
+    told: dict[str, list[float]] = {}
+    for kind, (label, keys) in product(
+        (HostDQN, DeviceDQN), {"defaults": {}, "turns 2": {"turns": 2}, **MOVED}.items()
+    ):
+        on_host = kind is HostDQN
+        if "turns" in keys and not on_host:
+            continue
+        options = {"target_update_interval": 40} | keys.get("options", {})
+        learner, lanes = learning(4, **{**keys, "options": options, "games": 60, "kind": kind})
+        numbers: list[float] = []
+        for games in (30, 60) if on_host else (60,):
+            train(learner, games)
+            networks = (learner.policy.q_net, learner.policy.q_net_target)
+            weights = [parameters_to_vector(net.parameters()).detach().double() for net in networks]
+            flown = (each.action for lane in range(4) for each in lanes.flown(lane))
+            numbers += [learner.exploration_rate, float(learner.optimizer.param_groups[0]["lr"]), sum(flown)]
+            numbers += [learner.statistics.loss, learner.statistics.mean_q]
+            numbers += [float(number) for each in weights for number in (each.sum(), each.std())]
+        told[f"{kind.__name__}, {label}"] = numbers
+    assert_numbers_as_recorded("learned_by_double_dqn", told)
 
 
 @BOTH

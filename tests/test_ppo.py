@@ -11,7 +11,9 @@ import numpy as np
 import pytest
 import torch as th
 from gymnasium import spaces
+from torch.nn.utils import parameters_to_vector
 
+from tests.golden import assert_numbers_as_recorded
 from tests.host_kernels import host_kernels  # noqa: F401 - a fixture
 from tests.lanes import assert_close
 from tests.learning import side_by_side, train_into
@@ -109,6 +111,28 @@ def test_the_noise_of_the_actions_falls_where_it_is_limited() -> None:
     assert min(free) > 0.4
     for done, deviation in enumerate(limited):
         assert deviation <= 0.1 + 0.4 * (1.0 - done / 8) + 1e-6
+
+
+def test_each_option_changes_what_is_learned_as_recorded() -> None:
+    """After each of three rounds: deviation, reward, games won, learning rate, and sum and spread of the weights."""
+    moved: dict[str, Any] = {
+        "rollout": 8, "epochs": 3, "minibatches": 2, "learning_rate": 0.02, "gamma": 0.5, "smoothing": 0.5,
+        "clip": 0.01, "value_weight": 4.0, "entropy_weight": 0.5, "max_grad_norm": 0.01, "first_deviation": 0.2,
+        "final_deviation": 0.1, "divergence": 0.001, "half_contrast": 3.0, "channels": (2, 3), "hidden": (), "seed": 5,
+    }  # fmt: skip
+    assert set(moved) | {"commands", "precision"} == set(PPOOptions.model_fields), "each option has a case"
+    told: dict[str, list[float]] = {}
+    for label, keys in {"defaults": {}, **{f"{name} {value}": {name: value} for name, value in moved.items()}}.items():
+        env: Any = Toy(cut=5)
+        env.task = SimpleNamespace(observation="dvs")
+        ppo = PPO(env, options(**{"commands": 3 * 16 * keys.get("rollout", 16), **keys}))
+        told[label] = []
+        for each in ppo.learn():
+            weights = parameters_to_vector(ppo.policy.parameters()).detach().double()
+            rate = float(ppo.optimizer.param_groups[0]["lr"])
+            told[label] += [each.deviation, each.reward, each.won, rate, float(weights.sum()), float(weights.std())]
+    assert len(set(map(tuple, told.values()))) == len(told)
+    assert_numbers_as_recorded("learned_by_ppo", told)
 
 
 @pytest.mark.parametrize(("aim", "rate"), [(1e-5, 3e-3 * (2 / 3) ** 7), (10.0, 1.5e-3)])
