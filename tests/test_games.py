@@ -1,7 +1,8 @@
 """Games of the tasks, command by command, as recorded in tests/data/games.txt: what is seen, rewarded, ended and told.
 
 A game is a heading, an environment with its keys, and calls of it; below each stands what it returned, written anew
-with RECORD=1: of a reset the observation and info, of a step also reward and end. `until` repeats an action.
+with RECORD=1: of a reset the observation and info, of a step also reward and end. `until` repeats an action. Games with
+`pictures` are the kernels', of which is told what a camera sees.
 """
 
 from __future__ import annotations
@@ -15,9 +16,11 @@ import pytest
 
 from tests.lanes import stored
 from tests.test_flights import assert_scenario_as_recorded, plain, scenarios
+from uavaccel.envs.arrays import picture_of
 from uavaccel.envs.flight_env import FlightEnv
 from uavaccel.envs.gates import Gates
 from uavaccel.envs.hover import Hover
+from uavaccel.envs.kernel_batch import KernelBatch
 from uavaccel.envs.navigate import Navigate
 from uavaccel.envs.obstacle_lane import ObstacleLane
 from uavaccel.errors import UserError
@@ -76,6 +79,36 @@ class Game:
         return [f"{name} {text}" for name, text in now.items() if before.get(name) != text]
 
 
+class Filmed:
+    """A game of the kernels with pictures, of which is told what they are like in coarse parts, state beside them."""
+
+    def __init__(self, env: str, pictures: bool, **keys: Any) -> None:
+        self._batch = KernelBatch(KINDS[env], 1, autoreset_mode="Disabled", threads=1, **keys)
+        self.close = self._batch.close
+
+    def do(self, line: str) -> str:
+        return str(eval(line[2:], {"reset": self.reset, "step": self.step}))
+
+    def reset(self, seed: int, **options: Any) -> str:
+        return coarse(self._batch.reset(seed=seed, options=options or None)[0])
+
+    def step(self, action: Any) -> str:
+        seen, rewards, terminated, truncated, _ = self._batch.step(np.array([action], self._batch.action_space.dtype))
+        end = " over" * int(terminated[0]) + " cut short" * int(truncated[0])
+        return f"{plain(float(rewards[0]))}{end}; {coarse(seen)}"
+
+
+def coarse(seen: Any) -> str:
+    """Mean levels of 3 x 4 parts of the newest frame of a batch of one, mean and spread of each, and the state."""
+    frames = np.asarray(picture_of(seen)[0], float)
+    rows, columns = (
+        np.array_split(np.arange(size), parts) for size, parts in zip(frames.shape[1:], (3, 4), strict=True)
+    )
+    parts = [[f"{frames[-1][np.ix_(row, column)].mean():.1f}" for column in columns] for row in rows]
+    told = [" ".join(row) for row in parts] + [f"{frame.mean():.1f} ± {frame.std():.1f}" for frame in frames]
+    return " | ".join([*told, plain(seen["state"][0].tolist())] if isinstance(seen, dict) else told)
+
+
 def shown(seen: Any) -> str:
     """The newest frame of an observation, and a sum of all."""
     frames = np.atleast_2d(np.asarray(seen, float))
@@ -85,5 +118,6 @@ def shown(seen: Any) -> str:
 
 @pytest.mark.parametrize("heading", GAMES)
 def test_a_game_is_as_recorded(heading: str) -> None:
-    with closing(Game(**GAMES[heading].options)) as game:
+    made: Any = Filmed if "pictures" in GAMES[heading].options else Game
+    with closing(made(**GAMES[heading].options)) as game:
         assert_scenario_as_recorded(FILE, GAMES[heading], game.do)

@@ -329,6 +329,8 @@ def test_the_target_network_follows_now_and_then(interval: int, every: int) -> N
 
 
 MOVED: dict[str, dict[str, Any]] = {
+    "defaults": {},
+    "turns 2": {"turns": 2},
     **{f"{name} {value}": {"options": {name: value}} for name, value in (
         ("learning_rate", 0.01), ("buffer_size", 24), ("learning_starts", 30), ("batch_size", 5), ("gamma", 0.9),
         ("n_steps", 3), ("target_update_interval", 12), ("exploration_initial_eps", 0.4), ("exploration_fraction", 0.9),
@@ -343,9 +345,7 @@ MOVED: dict[str, dict[str, Any]] = {
 def test_each_setting_changes_what_is_learned_as_recorded() -> None:
     """In the middle and at the end: exploration, learning rate, loss, mean value, weights of both networks, actions."""
     told: dict[str, list[float]] = {}
-    for kind, (label, keys) in product(
-        (HostDQN, DeviceDQN), {"defaults": {}, "turns 2": {"turns": 2}, **MOVED}.items()
-    ):
+    for kind, (label, keys) in product((HostDQN, DeviceDQN), MOVED.items()):
         on_host = kind is HostDQN
         if "turns" in keys and not on_host:
             continue
