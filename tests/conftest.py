@@ -8,6 +8,7 @@ import os
 import re
 import signal
 import sys
+import sysconfig
 from collections.abc import Callable, Iterator
 from functools import cache
 from pathlib import Path
@@ -227,6 +228,7 @@ def whole_messages(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPat
     monkeypatch.setattr(raises, "__exit__", left)
     yield
     places = {str(tmp_path): "HERE", str(tmp_path.parent): "THERE", str(Path(__file__).parents[1]): "ROOT"}
+    places |= {sysconfig.get_path("stdlib"): "PYTHON"}
     of_places = re.compile("|".join(map(re.escape, places)))
     told = [ELSEWHERE.sub("N", of_places.sub(lambda place: places[place[0]], said)) for said in _told]
     if hasattr(request.function, "hypothesis"):

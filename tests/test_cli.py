@@ -37,6 +37,7 @@ from uavaccel.suites.registry import SUITES, find_suite
 from uavaccel.suites.session import Plan, RunRequest, configure, manifest_of, planned, resumable, resumption_notes
 from uavaccel.suites.suite import SimpleCase
 from uavaccel.units import NS_PER_S
+from uavaccel.wire import latency
 
 ROOT = Path(__file__).parents[1]
 
@@ -184,7 +185,8 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Any, ...]]:
     monkeypatch.setattr("uavaccel.calibration.doctor.check_machine", lambda: {"verdict": "quiet"})
     monkeypatch.setattr("uavaccel.sim.camera.gl.describe_renderer", lambda: None)
     monkeypatch.setattr("uavaccel.suites.registry.open_run", str)
-    monkeypatch.setattr("uavaccel.wire.latency.read_latency", str)
+    read = latency.read_latency  # what ships is read, and kept
+    monkeypatch.setattr(latency, "read_latency", lambda path: read(path) if path.is_relative_to(ROOT) else str(path))
     return calls
 
 
@@ -492,7 +494,8 @@ def test_a_session_prints_and_leaves_what_was_recorded(tmp_path: Path, monkeypat
         done = CliRunner().invoke(app, line.split())
         lines = [*done.output.splitlines(), *[repr(done.exception)] * (done.exit_code != 0)]
         told.append(f"$ {line}: {' / '.join(OF_THE_MACHINE.sub('OURS', ' '.join(each.split())) for each in lines)}")
-        files = {path.relative_to(tmp_path) for path in tmp_path.glob("**/*") if path.is_file()} - there
+        found = {path.relative_to(tmp_path) for path in tmp_path.glob("**/*") if path.is_file()}
+        files = {path for path in found if "__pycache__" not in path.parts} - there
         there |= files
         names = sorted(str(path) for path in files if "parts" not in path.parts)
         told += [re.sub(r"events\.out\S*", "EVENTS", " ".join(names))] * bool(names)

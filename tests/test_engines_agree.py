@@ -281,7 +281,7 @@ class Engines:
 
     def move(self) -> None:
         """To engines that have flown other games."""
-        states = [self.device.get_state(lane) for lane in range(LANES)] if self.device else []
+        states = self.device.get_states() if self.device else []
         batch, alone = self._made()
         each: Any
         for each in (batch, *alone):
@@ -290,9 +290,8 @@ class Engines:
         if self.device:
             self.device = self._made_device()
             self.device.reset(seed=1)
-        for lane, state in enumerate(states):
-            seen = mapped(th.from_numpy, self.device.set_state(lane, stored(state)))
-            mapped(assert_seen, seen, select(batch.observations(), lane))
+            seen = self.device.set_states([stored(state) for state in states])
+            mapped(assert_seen, mapped(th.from_numpy, seen), batch.observations())
 
     def charge(self, spent_s: float, phase: str) -> None:
         self.lanes.charge(spent_s, phase)
