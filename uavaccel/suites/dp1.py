@@ -200,7 +200,7 @@ class Dp1(PathSuite[Dp1Config, Game]):
         return {**keys, "cells": summary_cells(report.scores, report.config.seed)}
 
     def headline(self, report: Report) -> str:
-        """Return how far each command's fastest games are from real time and how fast; lockstep only if they all are."""
+        """Return how far each command's fastest games are from real time and how fast; lockstep only if all are."""
         cells, said, speeds = cells_of(report), list[str](), list[str]()
         compared = cells[(cells.clock_speed > 1) & cells.stlc_median.notna()]
         compared = compared if (compared.timing == "lockstep").all() else compared[compared.timing != "lockstep"]
