@@ -453,8 +453,8 @@ def test_the_time_left_is_at_the_pace_of_this_start(monkeypatch: pytest.MonkeyPa
     assert said.getvalue().startswith("3/10 cells, ")  # as the plan calls them
     left = [line.rpartition(", ")[2] for line in said.getvalue().splitlines()]
     assert left == ["time left unknown", "11 min left", "14 min left", "10 min left"]
-    for case in cases[6:]:
-        shown.flown(case, {"case": case.id})
+    for last in cases[6:]:
+        shown.flown(last, {"case": last.id})
     assert said.getvalue().endswith(", 0.0 s left\n")  # whatever fractions have left of it
 
 
