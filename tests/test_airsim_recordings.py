@@ -164,6 +164,22 @@ def test_a_full_disk_ends_images_but_not_the_flight(tmp_path: Path) -> None:
     assert len(file.read_text().splitlines()) == 1 + 5
 
 
+def test_a_recording_that_cannot_be_written_ends_and_the_flight_does_not(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whatever writes it: the buffer's emptying, a reset, or its end."""
+    wire = recorder(tmp_path, Cameras=[])
+    monkeypatch.setattr("uavaccel.wire.recorder.FILE_NAME", "/dev/full")
+    for write in (wire.api.scenery.recorder.keep, lambda: wire.call("reset"), lambda: wire.call("stopRecording")):
+        wire.call("startRecording")
+        wire.fly(0.2)
+        write()
+        assert wire.said.pop() == "warning: the recording ends here: No space left on device"
+    (tmp_path / "file").touch()
+    with pytest.raises(rpc.RpcError, match=r"information: \S*/file/\S*: Not a directory\.$"):
+        recorder(tmp_path / "file").call("startRecording")
+
+
 def test_folders_are_not_made_faster_than_one_a_second(tmp_path: Path) -> None:
     wire = recorder(tmp_path, Cameras=[])
     for _ in range(3):

@@ -194,6 +194,7 @@ export default --mcap= --csv there; run dp1 --out=; train dp1; train dp2 --dry-r
 evaluate straight --sweep wind=0 --sweep wind=3; evaluate straight --sweep wind=0 --against x; watch --case a --game 1
 watch run --clock 5; watch run --think 1; watch run --seed 1; watch run --film f.mp4 --host ::1
 watch run --film f.mp4 --port 9; watch --case a; watch --game 0; watch run --film f.avi; watch . --film f.mp4
+watch flown --film f.mp4; watch filmed --film f.mp4
 export .; export . --csv f --case a; export . --csv f; export nowhere --onnx f.onnx; timing advise --thinking 90000
 timing advise --t-move 0.001; timing certify p.onnx CartPole-v1 --latency a --latency b
 timing certify p.onnx CartPole-v1 --latency a --latency 1; timing certify p.onnx CartPole-v1 --factor 2
@@ -288,7 +289,10 @@ def test_bad_input_is_one_line_and_nothing_is_written(
 ) -> None:
     """The lines are recorded with the exit status of each."""
     monkeypatch.chdir(tmp_path)
-    for name in ("there.txt", "there.py", "given.yaml"):
+    for name in ("flown", "filmed"):
+        (tmp_path / name).mkdir()
+    flights = ("flown/trajectory.npz", "filmed/trajectory.npz", "filmed/film.mp4")
+    for name in ("there.txt", "there.py", "given.yaml", *flights):
         (tmp_path / name).write_text("def act(seen): ...")
     before = sorted(tmp_path.rglob("*"))
 

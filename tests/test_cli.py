@@ -443,18 +443,21 @@ def test_the_time_left_is_at_the_pace_of_this_start(monkeypatch: pytest.MonkeyPa
     now = SimpleNamespace(s=1000.0)
     clock = SimpleNamespace(now_ns=lambda: int(now.s * NS_PER_S))
     monkeypatch.setattr("uavaccel.clock.MonotonicClock", lambda: clock)
-    cases = [SimpleCase(f"g{number}", "virtual", 20.0 if number < 6 else 100.0) for number in range(10)]
+    cases = [SimpleCase(f"g{number}", "virtual", 20.004 if number < 6 else 100.004) for number in range(10)]
     said = io.StringIO()
     earlier = [{"case": "g0"}, {"case": "g1"}]
     suite: Any = SimpleNamespace(unit="cells", status=lambda rows: "")
     shown = terminal.Progress(suite, cases, 2, earlier, Console(file=said, width=120))
     # Of two that fly at once the first says nothing yet; then 40 s of 480 took 60 s, 60 took 120 and 80 took 120.
-    for case, passed_s in (("g2", 60.0), ("g3", 0.0), ("g4", 60.0), ("g5", 0.0)):
+    for case, passed_s in (("g2", 60.1), ("g3", 0.0), ("g4", 60.1), ("g5", 0.0)):
         now.s += passed_s
         shown.flown(cases[int(case[1:])], {"case": case, "sim_time_s": 7.0})
     assert said.getvalue().startswith("3/10 cells, ")  # as the plan calls them
     left = [line.rpartition(", ")[2] for line in said.getvalue().splitlines()]
     assert left == ["time left unknown", "11 min left", "14 min left", "10 min left"]
+    for last in cases[6:]:
+        shown.flown(last, {"case": last.id})
+    assert said.getvalue().endswith(", 0.0 s left\n")  # whatever fractions have left of it
 
 
 # What a machine's own pace tells, and when it was.

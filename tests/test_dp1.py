@@ -238,6 +238,8 @@ def test_overview_and_headline_are_of_each_commands_cells() -> None:
         "At 50x ADSC strays up to 2.85 m (RMSE; median STLC 1.66, above 1.8 counts as alike). TCSC is identical to "
         "real time. Speed-up over real time: ADSC 40, TCSC 45.2"
     )
+    exact = report_of_cells(("adsc", 1.0, 2.0, 0.0, 1.0), ("adsc", 50.0, 2.0, 0.0, 50.0, "lockstep"))
+    assert Dp1().headline(exact) == "At 50x ADSC is identical to real time. Speed-up over real time: ADSC 50"
     few = report_of_cells(("adsc", 1.0, 2.0, 0.0, 1.0), ("adsc", 5.0, None, 0.0, 1.0))
     assert Dp1().headline(few) == "8 games, none of them accelerated and comparable with real time"
     wall = [("tcsc", 5.0, *numbers, "wall") for numbers in ((1.99, 0.01, 3.0), (1.8, 0.5, 4.0), (None, None, None))]

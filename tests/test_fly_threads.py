@@ -34,6 +34,7 @@ from typing import Any
 import pytest
 
 from uavaccel.clock import VirtualClock, time_module
+from uavaccel.errors import UserError
 from uavaccel.fly.modules import Patches
 from uavaccel.fly.script import FlightOver
 from uavaccel.fly.simulated import READING_NS
@@ -572,6 +573,22 @@ def test_pools_log_errors_but_not_the_end_of_the_flight(
 ) -> None:
     logging.getLogger("concurrent.futures").error("a worker has ended", exc_info=end)
     assert len(caplog.records) == lines
+
+
+def test_of_a_users_mistake_in_a_thread_only_its_line_is_shown(
+    capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(threading, "excepthook", threading.__excepthook__)
+    modules: Any = ThreadModules(Turns(VirtualClock())).threading
+
+    def connects() -> None:
+        raise UserError("settings.json: Vehicles: none can fly")
+
+    thread = modules.Thread(target=connects, name="pilot")
+    thread.start()
+    thread.join()
+    line = "uavaccel.errors.UserError: settings.json: Vehicles: none can fly"
+    assert capfd.readouterr().err == f"Exception in thread pilot:\n{line}\n"
 
 
 # --- waits without an end ------------------------------------------------------------------------------------------

@@ -300,9 +300,13 @@ import pygame
 from pygame.locals import *
 same = [K_w == pygame.K_w, QUIT == pygame.QUIT, K_UP == pygame.locals.K_UP]
 numbers = [value for value in vars(pygame.locals).values() if type(value) is int] + [pygame.K_F1]
+events = [pygame.event.wait() for _ in range(4)]
+called = [pygame.key.name(event.key) for event in events] + [pygame.key.name(pygame.K_F1)]
+are = [event.key for event in events] == [K_w, K_PLUS, K_LEFTBRACKET, K_RETURN]
 """
-    names = run_as_a_script(text)
+    names = run_as_a_script(text, keys="W,+,[,enter")
     assert names["same"] == [True] * 3
+    assert (names["called"], names["are"]) == (["w", "+", "[", "return", ""], True)
     assert len(set(names["numbers"])) == len(names["numbers"]) > 50
     assert "pygame" not in sys.modules
 

@@ -193,6 +193,7 @@ def test_only_what_is_trusted_runs() -> None:
         ("text.zip", "text.zip: is no model that stable-baselines3 has saved: "),
         ("plain.zip", "plain.zip: its policy cannot be made for this task: "),
         ("none.py:act", "policy 'none.py:act': no module 'none' in "),
+        ("two.py:act", "policy 'two.py:act': must take an observation alone$"),
         ("tcp://here", "policy 'tcp://here': must be tcp://host:port, as in "),
         ("tcp://127.0.0.1:99999", "policy 'tcp://127.0.0.1:99999': must be tcp://host:port, as in "),
         (7, "policy: must be a function of an observation, a file or tcp://host:port, not 7"),
@@ -201,6 +202,7 @@ def test_only_what_is_trusted_runs() -> None:
 def test_what_is_no_policy_is_one_line(policy: Any, said: str) -> None:
     for name in ("text.pt", "text.zip"):
         Path(name).write_text("{}")
+    Path("two.py").write_text("def act(seen, info):\n    return seen[:2]\n")
     with zipfile.ZipFile("plain.zip", "w") as archive:
         archive.writestr("data", '{"observation_space": "n", "action_space": "n", "policy_class": "n"}')
     with pytest.raises(UserError, match=f"^{said}") as caught:

@@ -160,18 +160,3 @@ def test_lost_time_is_told_when_it_has_doubled_and_a_failure_once(capsys: pytest
     assert period(0) == ""
     server.simulation.failure = "mjWARN_BADQPOS"
     assert "cannot go on" in period(0)
-
-
-def test_a_recording_that_cannot_go_on_is_told_and_the_flight_does(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    server = AirSimServer()
-    report = ServerReport(server)  # type: ignore[arg-type]
-
-    def full() -> None:
-        raise OSError("no space left")
-
-    monkeypatch.setattr(server.api.scenery.recorder, "keep", full)
-    server.pass_time(PERIOD_NS)
-    report.each_turn()
-    assert capsys.readouterr().out == "warning: the recording ends here: no space left\n"

@@ -83,6 +83,7 @@ def test_defaults_are_airsims(tmp_path: Path) -> None:
     ({"CameraDefaults": {"CaptureSettings": [{"ImageType": 99}]}}, "CameraDefaults.CaptureSettings.0.ImageType = 99"),
     ({"DefaultSensors": {"D": {"SensorType": 5, "MinDistance": 9, "MaxDistance": 8}}}, "MinDistance must be at most"),
     ({"DefaultSensors": {"L": {"SensorType": 7}}}, "DefaultSensors.L.SensorType = 7: should be one of 1, 2, 3"),
+    ({"DefaultSensors": {"L": {"SensorType": "6"}}}, "DefaultSensors.L.SensorType = '6': should be one of 1, 2, 3"),
     ({"DefaultSensors": {"L": {"Range": 7}}}, "key 'DefaultSensors.L.SensorType' is missing"),
     ({"OriginGeopoint": {"Latitude": 91}}, "OriginGeopoint.Latitude = 91"),
 ])  # fmt: skip

@@ -252,7 +252,8 @@ def explain_value(mapping: object, error: ErrorDetails) -> str:
         inner = f"{key}.{name}" if key else name
         if "tag" not in error["ctx"]:
             return f"key '{inner}' is missing"
-        return f"{inner} = {error['ctx']['tag']}: should be one of {error['ctx']['expected_tags']}"
+        given = reprlib.repr(error["input"].get(name, error["ctx"]["tag"]))
+        return f"{inner} = {given}: should be one of {error['ctx']['expected_tags']}"
     if error["type"] == "missing":
         return f"key {key!r} is missing"
     said = error["msg"].removeprefix("Value error, ").removeprefix("Input ")

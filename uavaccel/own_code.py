@@ -17,6 +17,7 @@ import sys
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from importlib import import_module
+from inspect import signature
 from itertools import takewhile
 from pathlib import Path
 from traceback import walk_tb
@@ -118,6 +119,17 @@ def own_function(place: str, where: str) -> tuple[Callable[..., Any], Path]:
         return found, Path(str(module.__file__)).resolve()
     there = [each for each, value in vars(module).items() if callable(value) and not each.startswith("_")]
     raise UserError(f"{where}: {module_of(place)} has no function {name}; {suggestion(name, there)}")
+
+
+def takes(function: Callable[..., Any], count: int) -> bool:
+    """Whether a function can be called with so many values."""
+    try:
+        signature(function).bind(*range(count))
+    except TypeError:
+        return False
+    except ValueError:  # NumPy's functions do not say
+        return count == 1
+    return True
 
 
 def own_module(name: str, where: str) -> ModuleType:

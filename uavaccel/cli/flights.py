@@ -141,7 +141,7 @@ def watch(
     The page shows the drone in its scene, clocks, camera and events; pause, step, replay. The film shows camera,
     events, map, the view from behind and what a policy decided.
     """
-    from uavaccel.fly.log import TRAJECTORY
+    from uavaccel.fly.log import FILM, TRAJECTORY
     from uavaccel.own_code import trusting
     from uavaccel.watch.beside import show
 
@@ -160,7 +160,9 @@ def watch(
         elif film.suffix != ".mp4":
             raise UsageError(f"--film {film}: must end in .mp4")
         elif Path(run, TRAJECTORY).is_file():
-            raise UsageError(f"--film: {run} has no images; fly the script with uavaccel fly --out FOLDER --film")
+            more = "fly the script with uavaccel fly --out FOLDER --film"
+            more = f"its film is {Path(run, FILM)}" if Path(run, FILM).is_file() else more
+            raise UsageError(f"--film: {run} has no images; {more}")
         else:
             from uavaccel.suites.flight import film_game
 

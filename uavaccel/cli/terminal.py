@@ -98,7 +98,7 @@ class Progress:
 
         wall_s = max((self._clock.now_ns() - self._start_ns) / NS_PER_S, 1e-9)
         measured = len(self._rows) - self._skipped >= self._jobs and self._passed_s > 0.0
-        left = f"{in_words(self._left_s * wall_s / self._passed_s)} left" if measured else "time left unknown"
+        left = f"{in_words(max(self._left_s, 0.0) * wall_s / self._passed_s)} left" if measured else "time left unknown"
         status = self._suite.status(self._rows)
         return (
             f"{len(self._rows)}/{self._games} {self._suite.unit}, {status + ', ' if status else ''}"

@@ -29,8 +29,16 @@ NAMED = {"enter": 13, "esc": 27, "space": 32, "tab": 9, "left": 81, "up": 82, "r
 ALIASES = {"return": "enter", "escape": "esc", " ": "space", "\n": "enter", "\r": "enter"}
 LIBRARIES = ("keyboard", "pynput", "pygame")
 ROOTS = (*LIBRARIES, "msvcrt")
+PUNCTUATION = (
+    *("EXCLAIM", "QUOTEDBL", "HASH", "DOLLAR", "PERCENT", "AMPERSAND", "QUOTE", "LEFTPAREN", "RIGHTPAREN", "ASTERISK"),
+    *("PLUS", "COMMA", "MINUS", "PERIOD", "SLASH", "COLON", "SEMICOLON", "LESS", "EQUALS", "GREATER", "QUESTION", "AT"),
+    *("LEFTBRACKET", "BACKSLASH", "RIGHTBRACKET", "CARET", "UNDERSCORE", "BACKQUOTE"),
+    *("LEFTBRACE", "BAR", "RIGHTBRACE", "TILDE"),
+)
+"""What pygame calls string.punctuation."""
 CONSTANTS = (
-    *(f"K_{key}" for key in (*string.ascii_lowercase, *string.digits, "UP", "DOWN", "LEFT", "RIGHT", "SPACE", "TAB")),
+    *(f"K_{key}" for key in (*string.ascii_lowercase, *string.digits, *PUNCTUATION)),
+    *(f"K_{key}" for key in ("UP", "DOWN", "LEFT", "RIGHT", "SPACE", "TAB")),
     *("K_RETURN", "K_ESCAPE", "K_LSHIFT", "K_LCTRL", "QUIT", "KEYDOWN", "KEYUP", "MOUSEBUTTONDOWN", "MOUSEBUTTONUP"),
     *("MOUSEMOTION", "JOYAXISMOTION", "JOYBUTTONDOWN", "JOYBUTTONUP"),
     *("RESIZABLE", "FULLSCREEN", "DOUBLEBUF", "HWSURFACE"),
@@ -305,6 +313,9 @@ class Events:
         self._keyboard.pass_time(POLL_S)
         return Pressed(self._keyboard)
 
+    def name(self, key: int) -> str:
+        return PYGAME_NAMES.get(key, "")
+
     get_mods = staticmethod(int)
 
 
@@ -426,10 +437,13 @@ def _public(kind: Callable[[Keyboard], object], keyboard: Keyboard) -> Mapping[s
 ARROWS = {"up": "H", "down": "P", "left": "K", "right": "M"}  # msvcrt's second characters
 NAMED_KEYS = StubModule("Key")
 vars(NAMED_KEYS).update({name: NamedKey(name) for name in NAMED})
-PYGAME_KEYS = {key: _number_of(f"K_{key}") for key in string.ascii_letters + string.digits + string.punctuation}
+PYGAME_KEYS = {key: _number_of(f"K_{key.lower()}") for key in string.ascii_letters + string.digits}
+PYGAME_KEYS |= {key: _number_of(f"K_{name}") for key, name in zip(string.punctuation, PUNCTUATION, strict=True)}
 PYGAME_KEYS |= {name: _number_of(f"K_{name.upper()}") for name in NAMED}
 PYGAME_KEYS |= {"enter": _number_of("K_RETURN"), "esc": _number_of("K_ESCAPE")}
 """pygame's number of a key, by our name."""
+PYGAME_NAMES = {number: key.lower() for key, number in PYGAME_KEYS.items()}
+PYGAME_NAMES |= {_number_of("K_RETURN"): "return", _number_of("K_ESCAPE"): "escape"}
 NAMES: dict[str, Callable[[Keyboard], Mapping[str, object]]] = {
     "keyboard": partial(_public, Hooks),
     "msvcrt": partial(_public, Console),

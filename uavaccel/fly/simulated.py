@@ -62,7 +62,7 @@ class ScriptWorld:
 
 
 def warn(line: str) -> None:
-    print(f"uavaccel: warning: {line}", file=sys.stderr, flush=True)
+    print(f"uavaccel: warning: {line.removeprefix('warning: ')}", file=sys.stderr, flush=True)
 
 
 class SimulatedFlight:

@@ -240,7 +240,8 @@ class Thread(threading.Thread):
             pass
         except BaseException as error:
             hide_ours(error)
-            error.__traceback__ = error.__traceback__ and error.__traceback__.tb_next  # without this frame
+            shown = None if isinstance(error, UserError) else error.__traceback__
+            error.__traceback__ = shown and shown.tb_next  # without this frame
             threading.excepthook(threading.ExceptHookArgs((type(error), error, error.__traceback__, self)))
         finally:
             self.over = True

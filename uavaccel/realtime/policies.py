@@ -22,7 +22,7 @@ from gymnasium import spaces
 from uavaccel.clock import MonotonicClock
 from uavaccel.errors import UserError
 from uavaccel.files import file_sha256
-from uavaccel.own_code import errors_named, own_function, trusting
+from uavaccel.own_code import errors_named, own_function, takes, trusting
 from uavaccel.realtime.policy_files import BatchPolicy, Space, form_of, module_policy, policy_file
 from uavaccel.realtime.server import (
     VERSION,
@@ -117,6 +117,8 @@ def _found(name: str, env: Spaces, answer_s: float) -> Policy:
         wanted = "a file (.zip, .onnx, .pt), file.py:function, module:function or tcp://host:port"
         raise UserError(f"policy {name!r}: is none that is known: name {wanted}")
     function, code = own_function(name, f"policy {name!r}")
+    if not takes(function, 1):
+        raise UserError(f"policy {name!r}: must take an observation alone")
 
     def act(observation: Any) -> Any:
         with errors_named(code, name):

@@ -9,7 +9,6 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping
 from copy import copy
-from inspect import signature
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -24,7 +23,7 @@ from uavaccel.envs.task import Task
 from uavaccel.envs.values import Action, Info, Observation
 from uavaccel.errors import UserError
 from uavaccel.files import file_sha256
-from uavaccel.own_code import errors_named, own_function
+from uavaccel.own_code import errors_named, own_function, takes
 from uavaccel.realtime.policies import fitting
 from uavaccel.realtime.policy_files import OnnxFile, PolicyFile, policy_file
 from uavaccel.realtime.server import begin
@@ -212,8 +211,8 @@ class OwnFunction(Origin):
     def __init__(self, name: str) -> None:
         super().__init__(name)
         self._function, self.file = own_function(name, f"agent {name!r}")
-        self._one = _takes(self._function, 1)
-        if not self._one and not _takes(self._function, 2):
+        self._one = takes(self._function, 1)
+        if not self._one and not takes(self._function, 2):
             raise UserError(f"agent {name!r}: must take an observation, or an observation and an info")
 
     def make(self, task: Task) -> Agent:
@@ -237,16 +236,6 @@ class OwnFunction(Origin):
             given = self._function(observation) if self._one else self._function(observation, info)
         action = fitting(given, self._actions, self.name)
         return action if np.ndim(action) else int(action)
-
-
-def _takes(function: Callable[..., Any], count: int) -> bool:
-    try:
-        signature(function).bind(*range(count))
-    except TypeError:
-        return False
-    except ValueError:  # NumPy's functions do not say
-        return count == 1
-    return True
 
 
 class AgentFile(Origin):

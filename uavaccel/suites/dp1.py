@@ -200,10 +200,10 @@ class Dp1(PathSuite[Dp1Config, Game]):
         return {**keys, "cells": summary_cells(report.scores, report.config.seed)}
 
     def headline(self, report: Report) -> str:
-        """Return how far each command's fastest games are from real time and how fast; lockstep only where all is."""
+        """Return how far each command's fastest games are from real time and how fast; lockstep only if all are."""
         cells, said, speeds = cells_of(report), list[str](), list[str]()
-        cells = cells if (cells.timing == "lockstep").all() else cells[cells.timing != "lockstep"]
         compared = cells[(cells.clock_speed > 1) & cells.stlc_median.notna()]
+        compared = compared if (compared.timing == "lockstep").all() else compared[compared.timing != "lockstep"]
         for command, own in compared.groupby("command"):
             name, clock = command_name(command), own.clock_speed.max()
             own, same = own[own.clock_speed == clock], bool(said) and clock == compared.clock_speed.max()

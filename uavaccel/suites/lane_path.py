@@ -13,6 +13,7 @@ the flight, the slower the response (time constant 0.9 s near the ground, 1.9 s 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from math import ceil
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +29,7 @@ DRAG_1_S = 0.008  # at 1 m/s, fitted likewise
 SPEED_M_S = 1.0
 HEADINGS_DEG = (0.0, 30.0, -30.0, 60.0, -60.0)
 COMMAND_S = 1.0
+LEAST_STEP_S = 0.5  # of the search: what two headings change in less is less than it tells apart
 CHECKS_PER_COMMAND = 5  # points in time at which the clearance is checked
 BEAM_WIDTH = 48
 MAX_COMMANDS = 400
@@ -51,9 +53,11 @@ def plan_path(
 ) -> list[VelocityCommand]:
     """Find velocity commands (north, east) in m/s, of `command_s` each, from a hover at the start to the lane's end.
 
-    The hull stays `margin_m` away from everything. Raises UserError if no such path is found.
+    Shorter ones than LEAST_STEP_S are repeated. The hull stays `margin_m` away from everything. Raises UserError if no
+    such path is found.
     """
-    transition, input_response = _response(height_m, command_s / CHECKS_PER_COMMAND)
+    repeats = ceil(LEAST_STEP_S / command_s)
+    transition, input_response = _response(height_m, repeats * command_s / CHECKS_PER_COMMAND)
     headings = np.radians(HEADINGS_DEG)
     actions = SPEED_M_S * np.stack([np.cos(headings), np.sin(headings)], axis=1)
     forced = actions[:, None, :, None] * input_response[None, :, None, :]  # (action, check, axis, 3)
@@ -66,7 +70,7 @@ def plan_path(
             path, taken = int(arrived[0]), list[VelocityCommand]()
             for beam in reversed(beams[1:]):
                 north, east = actions[beam.action[path]].tolist()
-                path, taken = int(beam.parent[path]), [(north, east), *taken]
+                path, taken = int(beam.parent[path]), [(north, east)] * repeats + taken
             return taken
     raise UserError(f"no path through this lane keeps {margin_m:g} m from its obstacles: widen a gap or the spacing")
 

@@ -9,11 +9,12 @@ from __future__ import annotations
 import itertools
 import re
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import IO, TYPE_CHECKING
 
 from uavaccel.clock import calendar_time
-from uavaccel.errors import UserError
+from uavaccel.errors import UserError, naming
 from uavaccel.sim.camera.pixels import png
 from uavaccel.units import NS_PER_S
 from uavaccel.wire import types
@@ -33,8 +34,9 @@ class Recorder:
     """Starts and stops a simulation's recorder.
 
     With a `folder`, the samples and the images that the settings list are written to a dated folder in it, which `say`
-    names; without one the samples stay in the simulation's bounded buffer. Methods that write raise OSError, after
-    which the file is closed. Raises UserError, naming the key, for an image in the settings that cannot be taken.
+    names; without one the samples stay in the simulation's bounded buffer. What cannot be written ends the recording:
+    `say` is told, and the flight goes on. Raises UserError, naming the key, for an image in the settings that cannot
+    be taken.
     """
 
     def __init__(self, scenery: Scenery, folder: Path | None, say: Callable[[str], None]) -> None:
@@ -59,8 +61,8 @@ class Recorder:
     def start(self, wall_ns: int = 0) -> None:
         """Start a recording with a file of its own; stops a running one.
 
-        Raises ValueError for more than FOLDERS_AT_ONCE recordings in quick succession: one per wall second is allowed
-        in the long run.
+        Raises UserError, naming the file, where it cannot be written, and ValueError for more than FOLDERS_AT_ONCE
+        recordings in quick succession: one per wall second is allowed in the long run.
         """
         if self._folder is not None:  # a client could fill the disk with a hundred folders per second
             passed = (wall_ns - self._counted_ns) // NS_PER_S
@@ -70,14 +72,16 @@ class Recorder:
             self._folders += 1
         self.stop()
         if self._folder is not None:
-            here = _new_folder(self._folder)
-            self._file = (here / FILE_NAME).open("w", encoding="utf-8", newline="\n")
+            with naming(self._folder):
+                here = _new_folder(self._folder)
+                self._file = (here / FILE_NAME).open("w", encoding="utf-8", newline="\n")
             self._file.write("\t".join(COLUMNS) + "\n")
             self._say(f"recording to {here / FILE_NAME}")
         self._simulation.records_game = False
         self._simulation.world.start_recording()
         try:
-            self._watch()
+            with naming(self._folder or Path()):
+                self._watch()
         except Exception:
             self.stop()
             raise
@@ -109,9 +113,11 @@ class Recorder:
         try:
             self._file.writelines(lines)
             self._file.flush()
-        except OSError:
-            self._file = None  # the flight continues without a recording
-            raise
+        except OSError as error:
+            self._say(f"warning: the recording ends here: {error.strerror}")
+            file, self._file = self._file, None
+            with suppress(OSError):
+                file.close()
 
     def go_through(self, reset: Callable[[bool], None]) -> None:
         """Call `reset` with whether there is a recording; a recording continues with a new grid of sampling times."""

@@ -13,7 +13,7 @@ import json
 import os
 import signal
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -199,13 +199,13 @@ class ServerReport:
 
     def finish(self) -> None:
         """Close the recording, and print the achieved speed and the refused calls."""
-        self._upkeep(self._server.api.scenery.recorder.stop)
+        self._server.api.scenery.recorder.stop()
         say(f"stopped; {self._text()}")
         for line in self._server.api.refusals.lines():
             say(f"  {line}")
 
     def _each_period(self) -> None:
-        self._upkeep(self._server.api.scenery.recorder.keep)
+        self._server.api.scenery.recorder.keep()
         speed = self._sum()
         if speed.lost_wall_ns > max(2 * self._warned_of_lost_ns, speed.wall_ns * WORTH_TELLING):
             self._warned_of_lost_ns = speed.lost_wall_ns  # a few lines, however long it goes on
@@ -216,12 +216,6 @@ class ServerReport:
         self._failure = failure
         if sys.stdout.isatty():
             say(self._text(), end="\r")
-
-    def _upkeep(self, work: Callable[[], object]) -> None:
-        try:
-            work()
-        except OSError as error:
-            say(f"warning: the recording ends here: {error}")
 
     def _sum(self) -> Speed:
         one, other = self._total, self._speed
