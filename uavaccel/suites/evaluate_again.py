@@ -20,7 +20,7 @@ from uavaccel.draw.style import Decisions
 from uavaccel.envs.arrays import picture_of, select
 from uavaccel.envs.flight_env import FlightEnv
 from uavaccel.envs.kernel_batch import KernelBatch
-from uavaccel.envs.observer import Onlooker, SecondEventCamera
+from uavaccel.envs.observer import Onlooker, SecondEventCamera, receives_whole
 from uavaccel.envs.simulators import EXACT, KERNELS
 from uavaccel.envs.values import Action, Info, Observation
 from uavaccel.errors import UserError
@@ -148,7 +148,7 @@ def flight_of_agent(config: EvaluateConfig, lane: int, pictures: bool = True) ->
 
     th.set_num_threads(1)  # as the evaluation's own games are flown
     agent, task = make_agent(config.agent, config.task), config.task
-    if pictures and task.timing == "wall" and task.observation != "dvs":
+    if pictures and task.timing == "wall" and not receives_whole(task):
         if not isinstance(origin_of(config.agent), Baseline):
             raise UserError(f"timing = 'wall': of {task.observation} there is no film; take virtual or lockstep")
         task = task.model_copy(update={"observation": "dvs"})
