@@ -82,7 +82,6 @@ def test_no_figure_is_wider_than_1280_pixels_whatever_it_shows(count: int, tmp_p
 def test_survival_reaches_to_the_lanes_end() -> None:
     distances_m, share = style.survival([30.0, 200.0, 10.0, 20.0], 150.0)
     assert (distances_m.tolist(), share.tolist()) == ([0, 10, 20, 30, 150], [1.0, 0.75, 0.5, 0.25, 0.0])
-    assert style.survival([2.0, -3.0], 150.0)[0].tolist() == [-3, -3, 2]
 
 
 def test_words_and_colours_of_all_figures() -> None:

@@ -112,11 +112,11 @@ def shade(number: int, count: int) -> str:
 
 
 def survival(distances_m: ArrayLike, length_m: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the distances at which games (n,) ended, after 0 or the least, sorted and cut at the lane's end, and the
-    share of games that got beyond each of them, both (n + 1,).
+    """Return the distances at which games (n,) ended, after 0, sorted and cut at the lane's end, and the share of
+    games that got beyond each of them, both (n + 1,).
     """
     reached = np.sort(np.minimum(np.asarray(distances_m, float), length_m))
-    return np.concatenate([np.minimum(reached[:1], 0.0), reached]), 1.0 - np.arange(len(reached) + 1) / len(reached)
+    return np.concatenate([[0.0], reached]), 1.0 - np.arange(len(reached) + 1) / len(reached)
 
 
 LETTER_IN, LINE_IN = 0.078, 0.17  # width of a letter of a legend, height of a line of its heading

@@ -462,6 +462,8 @@ def survival_figure(reports: Sequence[Report]) -> Figure:
         label = name if names.count(name) == 1 else f"{name} ({report.run.path})"  # folders may share their last name
         colour = style.COMMAND_COLOUR[report.config.task.command] if alone else style.colour(number)
         places, share = style.survival(report.games[measure], LENGTH_M if in_lane else math.inf)
+        if not in_lane:
+            places[0] = places[1]
         won = [Proportion(left, len(places) - 1) for left in range(len(places) - 1, -1, -1)]
         low, high = zip(*(each.interval for each in won), strict=True)
         plots.band(axes, places, share, low, high, step=True, label=label, color=colour)
