@@ -414,7 +414,7 @@ def test_an_onnx_file_gives_the_actions_clipped(outputs: str, sign: int, batch: 
     [
         {"history": 2, "knows": ["last_action"], "headings_deg": [-30.0, 0.0, 30.0]},
         {"observation": "depth"},
-        {"observation": "colour"},
+        {"observation": "colour", "picture_size": [33, 17]},
     ],
     ids=["dvs", "depth", "colour"],
 )
@@ -434,6 +434,20 @@ def test_a_policy_that_was_exported_flies_as_the_policy_does(task: dict[str, Any
     agent = make_agent("model.onnx", evaluation.task)
     assert isinstance(agent, BatchAgent)
     np.testing.assert_array_equal(agent.act_on(seen), policy.act(seen))
+
+
+@pytest.mark.usefixtures("onnx")
+def test_a_policy_of_pictures_of_another_kind_is_refused() -> None:
+    """Depth and events have one form."""
+    Path("policy").mkdir()
+    keys: dict[str, Any] = {"env_id": "uavaccel/Navigate-v0", "algorithm": "ppo", "options": {"minibatches": 2}}
+    config = tiny_config(**keys)
+    export_policy(Path("policy"), make_policy(config), config, {})
+    write_onnx(load_policy(Path("policy")), Path("model.onnx"))
+    for agent, said in (("policy", "with other observations or actions"), ("model.onnx", "model.onnx .* with 'depth'")):
+        assert configured("evaluate", agent=agent).task.observation == "depth"
+        with pytest.raises(UserError, match=said):
+            configured("evaluate", "task.observation=dvs", agent=agent)
 
 
 def test_without_onnxruntime_an_onnx_file_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -7,6 +7,7 @@ import importlib.util
 import json
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -17,14 +18,14 @@ from tests.learning import tiny_config
 from tests.running import configured
 from uavaccel.cli.flights import export
 from uavaccel.config import Config
-from uavaccel.envs.sensors import ColourCamera, DepthCamera, blank_frame
+from uavaccel.envs.obstacle_lane import LaneTask
+from uavaccel.envs.sensors import PICTURE_SIZE
 from uavaccel.envs.values import AT_REST
 from uavaccel.errors import UserError
 from uavaccel.records import RunDirectory
 from uavaccel.rl.onnx_file import OnnxPolicy, described, example, reduced, write_onnx
 from uavaccel.rl.policy import Policy, make_policy
 from uavaccel.suites.report import records, row_table, sample_tables, table_of, write_tables
-from uavaccel.vision.dvs_sensor import dvs_observation
 
 
 def policy(algorithm: str = "double_dqn", mirrored_decisions: bool = False, **task: Any) -> Policy:
@@ -35,28 +36,28 @@ def policy(algorithm: str = "double_dqn", mirrored_decisions: bool = False, **ta
     return Policy(make_policy(config).eval(), config, {"weights_file_sha256": "ab", "trained": {"games": 7}})
 
 
-def test_events_are_reduced_as_the_environment_reduces_them() -> None:
-    random = np.random.default_rng(0)
-    on, off = random.integers(0, 30, (2, 3, 144, 256), dtype=np.int32)
-    expected = np.stack([dvs_observation(*pair) for pair in zip(on, off, strict=True)])
-    seen = reduced(th.from_numpy((on - off).astype(np.float32))[None], "dvs")
-    np.testing.assert_array_equal(seen[0].numpy(), expected)
-    assert expected.min() == 0
-    assert expected.max() == 255
+@pytest.mark.parametrize("size", [PICTURE_SIZE, (64, 36), (33, 17)])
+def test_pictures_are_reduced_as_the_environment_reduces_them(size: tuple[int, int]) -> None:
+    def levels(observation: Any, picture: Any, planes: Any) -> tuple[Any, Any]:
+        task = LaneTask(observation=observation, picture_size=size)
+        sensor: Any = task.sensor()
+        if observation == "dvs":
+            sensor.counter = SimpleNamespace(has_frame_of=lambda time_ns: True, take=lambda: picture)
+        seen = reduced(th.from_numpy(planes.astype(np.float32))[None], task)[0].numpy()
+        return sensor.frame(AT_REST, picture, {}), seen
 
-
-def test_depth_and_colour_are_reduced_as_in_the_environment() -> None:
-    random = np.random.default_rng(0)
-    depth = random.uniform(0, 80, (144, 256)).astype(np.float32)
-    seen = reduced(th.from_numpy(depth)[None, None], "depth")[0].numpy()
-    assert (
-        abs(seen - DepthCamera(blank_frame("depth")).frame(AT_REST, depth, {})).max() <= 1
-    )  # where rounding falls either way
-    colour = random.integers(0, 256, (144, 256, 3), dtype=np.uint8)
-    planes = th.from_numpy(colour.astype(np.float32)).permute(2, 0, 1)[None]
-    np.testing.assert_array_equal(
-        reduced(planes, "colour")[0].numpy(), ColourCamera(blank_frame("colour")).frame(AT_REST, colour, {})
-    )
+    random, (columns, rows) = np.random.default_rng(0), size
+    most = 30 if size == PICTURE_SIZE else 300
+    on, off = random.integers(0, most, (2, rows, columns), dtype=np.int32)
+    expected, seen = levels("dvs", (on, off), (on - off)[None])
+    np.testing.assert_array_equal(seen, expected)
+    assert (expected.min(), expected.max()) == (0, 255)
+    depth = random.uniform(0, 80, (rows, columns)).astype(np.float32)
+    expected, seen = levels("depth", depth, depth[None])
+    assert abs(seen - expected).max() <= 1  # where rounding falls either way
+    colour = random.integers(0, 256, (rows, columns, 3), dtype=np.uint8)
+    expected, seen = levels("colour", colour, colour.transpose(2, 0, 1))
+    np.testing.assert_array_equal(seen, expected)
 
 
 def test_a_policy_that_decides_both_ways_is_symmetric() -> None:
@@ -78,6 +79,7 @@ def test_a_policy_that_decides_both_ways_is_symmetric() -> None:
         ("double_dqn", {"knows": ["last_action", "frame_age"], "history": 2}),
         ("double_dqn", {"knows": ["last_action"], "mirrored_decisions": True}),
         ("sb3_ppo", {"observation": "depth"}),
+        ("double_dqn", {"observation": "colour", "picture_size": [40, 32]}),
         ("double_dqn", {"observation": "state"}),
     ],
 )
@@ -86,14 +88,14 @@ def test_the_whole_network_acts_as_the_policy(algorithm: str, task: dict[str, An
     trained = policy(algorithm, **task)
     inputs = [th.rand(each.shape) * 255 for each in example(trained)]
     observation = trained.config.task.observation
-    planes = [reduced(inputs[0], observation), *inputs[1:]]
+    planes = [reduced(inputs[0], trained.config.task), *inputs[1:]]
     seen = th.cat(planes, dim=1).numpy()
     if observation != "state":
         seen = seen.round().astype(np.uint8)
         inputs[1:] = [each.round() for each in inputs[1:]]
     if observation == "dvs":
         inputs[0] = th.round(inputs[0] / 64 - 2)
-        seen[:, : planes[0].shape[1]] = reduced(inputs[0], "dvs").numpy()
+        seen[:, : planes[0].shape[1]] = reduced(inputs[0], trained.config.task).numpy()
     with th.inference_mode():
         _, action = OnnxPolicy(trained).eval()(*inputs)
     assert action.tolist() == trained.act(seen).tolist()

@@ -12,6 +12,7 @@ from tests.test_still_scenes import HULL, cast_all, touch_all
 from uavaccel.envs.kernel_batch import KernelBatch
 from uavaccel.envs.kernel_games import GameMaker
 from uavaccel.envs.navigate import Navigate, NavigateTask
+from uavaccel.envs.observer import Onlooker
 from uavaccel.envs.values import AT_REST
 from uavaccel.kernels import fields
 from uavaccel.kernels import scene as in_scene
@@ -135,13 +136,16 @@ def test_a_gap_is_kept_to_what_stands_and_not_to_what_was_left_out() -> None:
 @pytest.mark.parametrize("kind", ["depth", "colour", "dvs"])
 @pytest.mark.parametrize(("size", "shape"), [((64, 36), (36, 64)), ((80, 40), (40, 80)), ((256, 144), (36, 64))])
 def test_pictures_have_the_size_that_is_asked_for(kind: str, size: tuple[int, int], shape: tuple[int, int]) -> None:
-    env = Navigate(observation=kind, picture_size=list(size))
+    """And films show whole ones, whatever that is."""
+    env, onlooker = Navigate(observation=kind, picture_size=list(size)), Onlooker()
+    env.add_observer(onlooker)
     seen, _ = env.reset(seed=1)
     assert seen.shape[1:] == shape
     for _ in range(2):
         seen = env.step(np.array([1.0, 0.0, 0.0], np.float32))[0]
     assert env.observation_space.contains(seen)
     assert seen.std() > 0.3
+    assert {sample.image.shape for sample in onlooker.samples} == {(144, 256)}
     env.close()
 
 

@@ -332,6 +332,18 @@ def test_evaluations_are_compared_in_one_figure(tmp_path: Path, drawn: dict[str,
     assert_as_recorded("evaluate_compared", "\n".join(figures_text(drawn)).replace(str(tmp_path), "RUNS") + "\n")
 
 
+def test_evaluations_outside_of_the_lane_are_compared_by_return(tmp_path: Path, drawn: dict[str, Figure]) -> None:
+    """Distances are from the goal there, or there are none; what flew another environment is left out."""
+    elsewhere: dict[str, Any] = {"env_id": "uavaccel/Navigate-v0", "agent": "pilot.py:act"}
+    rows: list[Any] = [{"return": 2.0}, {"return": -1.0}]
+    runs = [made.evaluated(tmp_path / name, *rows, **elsewhere).run for name in "ab"]
+    other = made.evaluated(tmp_path / "c", *ended_at(5.0)).run
+    assert Evaluation().compare([other, *runs]) == [tmp_path / "a/figures/figure8_survival_compared.png"]
+    [axes] = drawn["figure8_survival_compared"].axes
+    assert axes.get_xlabel() == "return"
+    assert [np.asarray(line.get_xdata()).tolist() for line in axes.lines] == [[-1.0, -1.0, 2.0]] * 2
+
+
 # --- the suite rl -------------------------------------------------------------------------------------------------
 
 

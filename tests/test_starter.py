@@ -46,7 +46,7 @@ def misfits(value: Any, schema: dict[str, Any], whole: dict[str, Any], key: str 
         schema = whole["$defs"][schema["$ref"].rpartition("/")[2]]
     if "anyOf" in schema:
         found = [misfits(value, each, whole, key) for each in schema["anyOf"]]
-        return min(found, key=len)
+        return min(found, key=lambda wrong: (wrong == [key], len(wrong)))
     if "const" in schema or "enum" in schema:
         return [] if value in schema.get("enum", [schema.get("const")]) else [key]
     kinds: dict[str, tuple[type, ...]] = {
@@ -79,6 +79,8 @@ def test_shipped_experiments_fit_their_schemas(path: Path) -> None:
 
 def test_every_suite_has_a_schema_that_tells_wrong_keys() -> None:
     assert all(schema_of(suite)["properties"]["suite"] for suite in SUITES)
+    named: list[Any] = ["hover", {"class": "my_task.py:MyTask"}, {"class": "navigate", "command": "TCSC"}]
+    assert all(misfits_of({"suite": "train", "task": task}) == [] for task in named)
     wrong = {"suite": "train", "game": 3, "task": {"command": "fly", "lane": "lane.yaml", "speed_m_s": "1"}}
     assert misfits_of(wrong) == [".game", ".task.command", ".task.speed_m_s"]
     with pytest.raises(UserError, match="did you mean 'train'"):

@@ -53,7 +53,11 @@ MOST_LANES = 65_536  # over arrays
 MOST_SEEDS = 1 << 32
 
 CommandName = Annotated[
-    Literal["adsc", "tcsc"], BeforeValidator(lambda name: name.lower() if isinstance(name, str) else name)
+    Literal["adsc", "tcsc"],
+    BeforeValidator(
+        lambda name: name.lower() if isinstance(name, str) else name,
+        json_schema_input_type=Literal["adsc", "tcsc", "ADSC", "TCSC"],
+    ),
 ]
 """In any case, as the paper and the pages have capitals; kept in lower case."""
 Seed = Annotated[int, Field(ge=0, lt=MOST_SEEDS)]

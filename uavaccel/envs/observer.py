@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uavaccel.envs.camera_client import NO_IMAGE, Sample
+from uavaccel.envs.sensors import PICTURE_SIZE
 from uavaccel.envs.task import Task
 from uavaccel.kinematics import Kinematics, Quaternion, Vector
 from uavaccel.sim.camera.view import HEIGHT, WIDTH
@@ -33,6 +34,11 @@ class Game(NamedTuple):
     def picture(self, time_ns: int) -> NDArray[np.uint8]:
         """Return the front camera's gray picture of the present tick, at simulated `time_ns`, with the game's noise."""
         return self.noise.add(self.session.picture(), time_ns)
+
+
+def receives_whole(task: Task) -> bool:
+    """Return whether an agent receives the gray pictures of whole size that onlookers see."""
+    return task.observation == "dvs" and task.picture_size == PICTURE_SIZE
 
 
 class Observer:
@@ -80,7 +86,7 @@ class Onlooker(Observer):
             north, east, down = hit["position_m"]
             place = north, east, down
         if self.pictures:
-            shown = self._game.task.observation == "dvs" and not hit
+            shown = receives_whole(self._game.task) and not hit
             image = sample.image if shown else self._game.session.picture()
         self.samples.append(Seen(time_ns, image, place, state.orientation_wxyz, command))
 

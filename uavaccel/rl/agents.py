@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 
 import json
 
-from uavaccel.envs.sensors import DEPTH_FAR_M, SIZE
+from uavaccel.envs.sensors import DEPTH_FAR_M, PICTURE_SIZE, SIZE
 from uavaccel.files import parse_json
 from uavaccel.vision.dvs_sensor import BLOCK_SIDE, NEUTRAL_LEVEL
 
@@ -270,7 +270,7 @@ class PolicyFolder(Origin):
     def check(self, task: Task) -> None:
         trained: Task = self._trained.task
         if not (isinstance(task, LaneTask) and isinstance(trained, LaneTask)):
-            if (task.observation_space(), task.action) != (trained.observation_space(), trained.action):
+            if _of(task) != _of(trained):
                 others = f"{self.name} was trained with other observations or actions"
                 raise UserError(f"task: {others}: omit what they follow from")
             return
@@ -286,6 +286,11 @@ class PolicyFolder(Origin):
 
     def make(self, task: Task) -> Agent:
         return PolicyAgent(load_policy(self._folder))
+
+
+def _of(task: Task) -> tuple[object, ...]:
+    """Return what a policy sees and does: depth and events are pictures of one form."""
+    return task.observation_space(), task.observation, task.action
 
 
 def kept_keys(env_id: str, trained: Mapping[str, Any]) -> dict[str, Any]:
@@ -323,7 +328,6 @@ def policy_folder(name: str) -> Path:
 
 ENV_ID, TASK = "env_id", "task"
 """The metadata of this project's own exports: the environment, and the keys of the training's task as JSON."""
-WHOLE = (SIZE[0] * BLOCK_SIDE, SIZE[1] * BLOCK_SIDE)
 
 
 class OnnxAgentFile(AgentFile):
@@ -348,9 +352,15 @@ class OnnxAgentFile(AgentFile):
         (what, own, of_task), *actions = super().forms(task)
         if self._reduces(task):
             planes, told = _planes(task)
-            of_task = f"seen {(planes, *WHOLE)}, told {(told, *SIZE)}" if told else str((planes, *WHOLE))
+            whole = (planes, *task.picture_size[::-1])
+            of_task = f"seen {whole}, told {(told, *SIZE)}" if told else str(whole)
         yield what, own, of_task
         yield from actions
+
+    def check(self, task: Task) -> None:
+        super().check(task)
+        if (trained := self.keys().get("observation", task.observation)) != task.observation:
+            raise UserError(f"task.observation = {task.observation!r}: {self.name} was trained with {trained!r}")
 
     def make(self, task: Task) -> Agent:
         act_on = self.policy.load(task.observation_space(), task.action_space())
@@ -367,15 +377,20 @@ def _planes(task: Task) -> tuple[int, int]:
     return int(task.frames_space().shape[0]) - told, told
 
 
+def block_side(task: Task) -> int:
+    """Return the side of the blocks of pixels that are a frame's pixels."""
+    return BLOCK_SIDE if task.picture_size == PICTURE_SIZE else 1
+
+
 def _whole(task: Task, observations: NDArray[Any]) -> dict[str, NDArray[Any]]:
     """Return the inputs of an exported file, whole pictures, that it reduces to `observations`."""
-    planes, told = _planes(task)
+    (planes, told), side = _planes(task), block_side(task)
     levels: NDArray[Any] = observations[:, :planes].astype(np.float32)
     if task.observation == "dvs":
-        levels = (levels - NEUTRAL_LEVEL) / BLOCK_SIDE**2
+        levels = (levels - NEUTRAL_LEVEL) / side**2
     elif task.observation == "depth":
         levels = levels * (DEPTH_FAR_M / 255)
-    seen = levels.repeat(BLOCK_SIDE, axis=2).repeat(BLOCK_SIDE, axis=3)
+    seen = levels.repeat(side, axis=2).repeat(side, axis=3)
     return {"seen": seen, "told": observations[:, planes:].astype(np.float32)} if told else {"seen": seen}
 
 

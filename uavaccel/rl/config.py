@@ -146,11 +146,16 @@ def _of_the_environment(task: Any, handler: ValidatorFunctionWrapHandler, info: 
 
 
 class _OfEach:
-    """Lets the JSON schema have the keys of any environment's task."""
+    """Lets the JSON schema have the keys of any environment's task, or its name."""
 
     def __get_pydantic_json_schema__(self, core: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
-        kinds = (environment_class(name).task_class for name in ENVIRONMENTS)
-        return {"anyOf": [handler(kind.__pydantic_core_schema__) for kind in kinds]}
+        tasks = [handler(environment_class(name).task_class.__pydantic_core_schema__) for name in ENVIRONMENTS]
+        for task in tasks:
+            handler.resolve_ref_schema(task)["properties"]["class"] = TASK_NAME
+        return {"anyOf": [TASK_NAME, *tasks]}
+
+
+TASK_NAME = {"type": "string", "description": "The task: an environment, or one of your own, file.py:Class."}
 
 
 AnyTask = Annotated[SerializeAsAny[LaneTask], WrapValidator(_of_the_environment), _OfEach()]

@@ -16,19 +16,20 @@ from torch import nn
 from torch.nn.functional import avg_pool2d
 
 from uavaccel.envs.sensors import DEPTH_FAR_M, SIZE
+from uavaccel.envs.task import Task
 from uavaccel.errors import UserError
 from uavaccel.files import replacing
 from uavaccel.resources import require
-from uavaccel.rl.agents import metadata_of
+from uavaccel.rl.agents import block_side, metadata_of
 from uavaccel.rl.config import DOUBLE_DQN, PPO
 from uavaccel.rl.policy import Policy, observed_frames
-from uavaccel.vision.dvs_sensor import BLOCK_SIDE, NEUTRAL_LEVEL
+from uavaccel.vision.dvs_sensor import NEUTRAL_LEVEL
 
 CHANNELS = {"dvs": 1, "depth": 1, "colour": 3}
 INPUTS = {
-    "dvs": "ON minus OFF events per pixel since the frame before, (n, frames, 144, 256), the oldest first",
-    "depth": "metres along the optical axis, (n, frames, 144, 256), the oldest first",
-    "colour": "red, green and blue, 0 to 255, (n, 3 x frames, 144, 256), the oldest frame first",
+    "dvs": "ON minus OFF events per pixel since the frame before, (n, frames, {}, {}), the oldest first",
+    "depth": "metres along the optical axis, (n, frames, {}, {}), the oldest first",
+    "colour": "red, green and blue, 0 to 255, (n, 3 x frames, {}, {}), the oldest frame first",
     "state": "the observation as the environment gives it",
 }
 TOLD = (
@@ -43,14 +44,14 @@ class OnnxPolicy(nn.Module):
     def __init__(self, policy: Policy) -> None:
         super().__init__()
         self.policy, self.turned, self.algorithm = policy.network, policy.turned, policy.config.algorithm
-        self.observation = policy.config.task.observation
+        self.task = policy.config.task
 
     def forward(self, seen: th.Tensor, told: th.Tensor | None = None) -> tuple[th.Tensor, ...]:
         """Return ratings (n, actions) and actions (n,) for pictures `seen` and context planes `told`, if it has any.
 
         Of a policy with continuous actions these are the actions (n, size) alone.
         """
-        levels = reduced(seen, self.observation)
+        levels = reduced(seen, self.task)
         levels = levels if told is None else th.cat([levels, told], dim=1)
         if self.algorithm == PPO:
             return (self.policy.act_on({"seen": levels}),)
@@ -63,15 +64,16 @@ class OnnxPolicy(nn.Module):
         return ratings, ratings.argmax(dim=1)
 
 
-def reduced(seen: th.Tensor, observation: str) -> th.Tensor:
-    """Reduce pictures (n, planes, 144, 256) to grey levels (n, planes, 36, 64), as uavaccel.envs.sensors does."""
+def reduced(seen: th.Tensor, task: Task) -> th.Tensor:
+    """Reduce pictures (n, planes, rows, columns) to grey levels, as uavaccel.envs.sensors does for a task."""
+    observation, side = task.observation, block_side(task)
     if observation == "state":
         return seen
     if observation == "dvs":
-        return (NEUTRAL_LEVEL + BLOCK_SIDE**2 * avg_pool2d(seen, BLOCK_SIDE)).clamp(0, 255)
+        return (NEUTRAL_LEVEL + side**2 * avg_pool2d(seen, side)).clamp(0, 255)
     if observation == "depth":
-        return th.round(avg_pool2d(seen.clamp(max=DEPTH_FAR_M), BLOCK_SIDE) * (255 / DEPTH_FAR_M))
-    return th.round(avg_pool2d(seen, BLOCK_SIDE))
+        return th.round(avg_pool2d(seen.clamp(max=DEPTH_FAR_M), side) * (255 / DEPTH_FAR_M))
+    return th.round(avg_pool2d(seen, side))
 
 
 def write_onnx(policy: Policy, path: Path) -> dict[str, str]:
@@ -107,7 +109,7 @@ def example(policy: Policy) -> tuple[th.Tensor, ...]:
     if task.observation == "state":
         return (th.zeros(2, *shape),)
     planes = observed_frames(task) * CHANNELS[task.observation]
-    seen = th.zeros(2, planes, SIZE[0] * BLOCK_SIDE, SIZE[1] * BLOCK_SIDE)
+    seen = th.zeros(2, planes, *task.picture_size[::-1])
     told = shape[0] - planes
     return (seen, th.zeros(2, told, *SIZE)) if told else (seen,)
 
@@ -121,7 +123,7 @@ def described(policy: Policy) -> dict[str, str]:
     about = {key: json.dumps(given[key]) for key in keys if key in given}
     told = {"told": TOLD} if task.context_planes() else {}
     return {
-        "seen": INPUTS[task.observation],
+        "seen": INPUTS[task.observation].format(*task.picture_size[::-1]),
         **told,
         **about,
         **metadata_of(policy.config.env_id, task),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Container, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
@@ -319,9 +320,12 @@ class Evaluation(Suite[EvaluateConfig, Game]):
         yield summary_table(report.summary)
 
     def compare(self, runs: Sequence[RunDirectory]) -> list[Path]:
-        reports = [Report(run, self) for run in runs]
+        by_environment: dict[str, list[Report]] = {}
+        for report in (Report(run, self) for run in runs):
+            by_environment.setdefault(report.config.env_id, []).append(report)
+        several = [reports for reports in by_environment.values() if len(reports) > 1]
         with style.project_style():
-            return [style.save(survival_figure(reports), runs[0].file(COMPARISON))]
+            return [style.save(survival_figure(reports), reports[0].run.file(COMPARISON)) for reports in several]
 
 
 # --- a game -----------------------------------------------------------------------------------------------------
@@ -444,21 +448,29 @@ def source(reports: Sequence[Report]) -> str:
 
 
 def survival_figure(reports: Sequence[Report]) -> Figure:
-    """Plot the share of games that reached each distance, a line per evaluation in its 95 % Wilson interval."""
-    alone = len(reports) == 1
-    figure, [axes] = plots.panels(1, "Distance travelled", 3.2, source="" if alone else source(reports))
+    """Plot the share of games that reached each distance, a line per evaluation in its 95 % Wilson interval.
+
+    Outside of the lane it is the share that reached each return.
+    """
+    alone, in_lane = len(reports) == 1, reports[0].config.env_id == LANE
+    title, measure = ("Distance travelled", "distance_m") if in_lane else ("Return", "return")
+    figure, [axes] = plots.panels(1, title, 3.2, source="" if alone else source(reports))
     configs = [report.config for report in reports]
     flown = [(agent_name(config.agent), flown_by(config.simulator, config.device)) for config in configs]
     names = [", ".join(filter(None, by)) for by in flown]
     for number, (report, name) in enumerate(zip(reports, names, strict=True)):
         label = name if names.count(name) == 1 else f"{name} ({report.run.path})"  # folders may share their last name
         colour = style.COMMAND_COLOUR[report.config.task.command] if alone else style.colour(number)
-        places, share = style.survival(report.games.distance_m, LENGTH_M)
+        places, share = style.survival(report.games[measure], LENGTH_M if in_lane else math.inf)
+        if not in_lane:
+            places[0] = places[1]
         won = [Proportion(left, len(places) - 1) for left in range(len(places) - 1, -1, -1)]
         low, high = zip(*(each.interval for each in won), strict=True)
         plots.band(axes, places, share, low, high, step=True, label=label, color=colour)
-    axes.axvline(LENGTH_M, **style.LIMIT, label="end of the lane")
-    axes.set(xlabel="distance north, m", ylabel="share of games that got there", ylim=(0.0, 1.05))
+    if in_lane:
+        axes.axvline(LENGTH_M, **style.LIMIT, label="end of the lane")
+    axes.set(xlabel="distance north, m" if in_lane else "return", ylim=(0.0, 1.05))
+    axes.set_ylabel("share of games that got there")
     style.legend(figure)
     return figure
 

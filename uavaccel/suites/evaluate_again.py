@@ -20,7 +20,8 @@ from uavaccel.draw.style import Decisions
 from uavaccel.envs.arrays import picture_of, select
 from uavaccel.envs.flight_env import FlightEnv
 from uavaccel.envs.kernel_batch import KernelBatch
-from uavaccel.envs.observer import Onlooker, SecondEventCamera
+from uavaccel.envs.observer import Onlooker, SecondEventCamera, receives_whole
+from uavaccel.envs.sensors import PICTURE_SIZE
 from uavaccel.envs.simulators import EXACT, KERNELS
 from uavaccel.envs.values import Action, Info, Observation
 from uavaccel.errors import UserError
@@ -141,17 +142,18 @@ def flight_again(
 def flight_of_agent(config: EvaluateConfig, lane: int, pictures: bool = True) -> Flight:
     """Let the agent fly a lane in the exact simulator, and return its flight.
 
-    Raises UserError in `wall` for a policy whose observation has no events: only messages can request images there.
+    Raises UserError in `wall` for a policy that sees no events of whole pictures: only messages can request images.
     """
     require("torch", config.agent, "learn", "PyTorch")
     import torch as th
 
     th.set_num_threads(1)  # as the evaluation's own games are flown
     agent, task = make_agent(config.agent, config.task), config.task
-    if pictures and task.timing == "wall" and task.observation != "dvs":
+    if pictures and task.timing == "wall" and not receives_whole(task):
         if not isinstance(origin_of(config.agent), Baseline):
-            raise UserError(f"timing = 'wall': of {task.observation} there is no film; take virtual or lockstep")
-        task = task.model_copy(update={"observation": "dvs"})
+            seen = task.observation if task.observation != "dvs" else f"picture_size = {list(task.picture_size)}"
+            raise UserError(f"timing = 'wall': of {seen} there is no film; take virtual or lockstep")
+        task = task.model_copy(update={"observation": "dvs", "picture_size": PICTURE_SIZE})
     with closing(environment_class(config.env_id)(**task.model_dump(mode="json"))) as environment:
         fly = partial(fly_lane, config, agent=agent, lane=lane)
         return _flight(config, environment, fly, pictures, agent if pictures else None)

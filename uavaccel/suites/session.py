@@ -308,8 +308,10 @@ def schema_of(name: str) -> dict[str, Plain]:
     with reading(RunRequest(name)) as (suite, config):
         made, environment = schema(suite.config), getattr(config, "environment_class", None)
     if environment is not None:
+        from uavaccel.rl.config import TASK_NAME  # loads Gymnasium
+
         task = environment.task_class.model_json_schema()
         made["$defs"] |= task.pop("$defs", {})
-        task["properties"]["class"] = {"type": "string", "description": "The task: file.py:Class."}
-        made["properties"]["task"] = {"anyOf": [{"type": "string"}, task]}
+        task["properties"]["class"] = TASK_NAME
+        made["properties"]["task"] = {"anyOf": [TASK_NAME, task]}
     return made
