@@ -207,7 +207,7 @@ def test_each_recording_has_a_file_of_its_own_or_is_the_callers_error(tmp_path: 
     assert len(rows_of(tmp_path / "made" / "when needed")) == 2
     (tmp_path / "file").write_text("in the way")
     api = hovering(recordings=tmp_path / "file")
-    with pytest.raises(rpc.RpcError, match=r"startRecording.*Error"):
+    with pytest.raises(rpc.RpcError, match=r"startRecording.*/file/.*: Not a directory"):
         ask(api, "startRecording")
     assert ask(api, "ping")
 

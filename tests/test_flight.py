@@ -14,6 +14,7 @@ from tests.running import configured
 from uavaccel.config import validate
 from uavaccel.draw import chase
 from uavaccel.draw.film import frames
+from uavaccel.envs.obstacle_lane import LaneTask
 from uavaccel.errors import UserError
 from uavaccel.records import RunDirectory
 from uavaccel.sim.lane import LaneLayout, sample_layout
@@ -151,7 +152,7 @@ class Lane:
 
     def fly(self) -> list[Any]:
         onlooker, picture = self.observers[0], np.zeros((2, 3), np.uint8)
-        task, session = SimpleNamespace(observation="dvs"), SimpleNamespace(picture=lambda: picture)
+        task, session = LaneTask(), SimpleNamespace(picture=lambda: picture)
         onlooker.game_begun(SimpleNamespace(start=at(0), picture=lambda _: picture, task=task, session=session))
         for command, ends in enumerate([(330, 660), (1000, 1320)]):
             for after_ms in ends:

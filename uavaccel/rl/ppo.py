@@ -206,7 +206,7 @@ class PPO:
         rate = th.tensor(options.learning_rate, device=self.device)
         self.optimizer = Adam(self.policy.parameters(), rate, eps=1e-5, capturable=on_gpu, fused=on_gpu or None)
         self.commands = 0
-        self._rounds = options.precision == "bfloat16"
+        self._in_bfloat16 = options.precision == "bfloat16"
         self._allocate(space.shape[0])
         works = self._act, self._estimate, self._descend
         self._do_act, self._do_estimate, self._do_descend = (recorded(work, self.device) for work in works)
@@ -272,13 +272,13 @@ class PPO:
 
     def _inputs(self, seen: Parts) -> Parts:
         inputs: Parts = self.policy.inputs(seen)
-        if not self._rounds:
+        if not self._in_bfloat16:
             return inputs
         return {name: blocks(part.bfloat16()) if name in self.policy.eyes else part for name, part in inputs.items()}
 
     def _rate(self, inputs: Parts) -> tuple[th.Tensor, th.Tensor]:
         """Return the policy's mean actions and values; in bfloat16 all but the last layers are."""
-        if not self._rounds:
+        if not self._in_bfloat16:
             rated: tuple[th.Tensor, th.Tensor] = self.policy(inputs)
             return rated
         pictures = {name: inputs[name].permute(0, 3, 1, 2) for name in self.policy.eyes}
