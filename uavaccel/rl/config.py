@@ -387,12 +387,12 @@ class PPOSettings(Config):
     """Largest standard deviation at the end, to which it falls linearly, so that the policy learns to do without the
     noise; None: the deviation is learned freely."""
     divergence: Annotated[float, Field(gt=0.0, le=10.0)] | None = None
-    """Kullback-Leibler divergence from the policy that flew which gradient steps are to keep: the learning rate, at
-    most as scheduled, falls by a third above twice and rises by half below half of it. None: as scheduled."""
+    """Kullback-Leibler divergence that gradient steps are to keep from the policy that flew: above twice this the
+    learning rate falls by a third, below half of it it rises by half, at most to the schedule. None: as scheduled."""
     half_contrast: Annotated[float, Field(gt=0.0, le=1e6)] = HALF_CONTRAST
     """Distance from "no events", in grey levels, that the network sees at half strength."""
     precision: Literal["float32", "bfloat16"] = "float32"
-    """Of what the network computes in training; bfloat16 halves a GPU's time on pictures."""
+    """Number format in which the network computes during training; bfloat16 halves a GPU's time on pictures."""
 
     def check_samples(self, environments: int) -> None:
         """Raise UserError unless the minibatches divide the samples of a rollout in at least two samples each."""

@@ -129,8 +129,7 @@ class ActorCritic(nn.Module):
                 continue
             layers: list[nn.Module] = []
             for number, (before, after) in enumerate(pairwise((box.shape[0], *options.channels))):
-                first = number == 0
-                layer = FirstLayer(before, after) if first else nn.Conv2d(before, after, 3, stride=2, padding=1)
+                layer = nn.Conv2d(before, after, 3, stride=2, padding=1) if number else FirstLayer(before, after)
                 layers += [_scaled(layer, 2**0.5), nn.ReLU()]
             eye = nn.Sequential(*layers, nn.Flatten())
             width += int(eye(th.zeros(1, *box.shape)).shape[1])
@@ -277,7 +276,7 @@ class PPO:
         return {name: blocks(part.bfloat16()) if name in self.policy.eyes else part for name, part in inputs.items()}
 
     def _rate(self, inputs: Parts) -> tuple[th.Tensor, th.Tensor]:
-        """Return the policy's mean actions and values; in bfloat16 all but the last layers are."""
+        """Return mean actions and values; in bfloat16, only the last layers compute in single precision."""
         if not self._in_bfloat16:
             rated: tuple[th.Tensor, th.Tensor] = self.policy(inputs)
             return rated
