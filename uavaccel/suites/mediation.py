@@ -15,7 +15,7 @@ import pandas as pd
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from uavaccel.config import Config, Games, Seed
+from uavaccel.config import Config, Games, Name, Seed
 from uavaccel.draw import style
 from uavaccel.draw.page import Block, Column, Heading, Picture, Table
 from uavaccel.files import Plain
@@ -30,7 +30,6 @@ from uavaccel.suites.parts import OUTCOMES, Part, Run, SuiteOfRuns, evaluate_par
 from uavaccel.suites.report import Report, Summary, method_note, table_of
 from uavaccel.suites.suite import GameResult, SimpleCase
 
-Name = Annotated[str, Field(pattern=r"^[a-z0-9_]+$")]
 Keys = dict[str, Plain]
 USUAL = "usual"  # the flight in which nothing is moved
 MOST_LINES = 7  # policies that lines in a panel keep apart

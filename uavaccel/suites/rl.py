@@ -19,7 +19,7 @@ import pandas as pd
 from pydantic import Field, model_validator
 from typing_extensions import TypedDict
 
-from uavaccel.config import ClockSpeed, CommandName, Config, Games, Seed
+from uavaccel.config import ClockSpeed, CommandName, Config, Games, NameOrNone, Seed
 from uavaccel.draw import style
 from uavaccel.draw.page import Block as PageBlock
 from uavaccel.draw.page import Column, Heading, Picture, Table, clock_label, command_name, fill, in_words, listed
@@ -78,7 +78,7 @@ class Block(Config):
     """tcsc pauses the simulation while the program works, adsc does not; each value is flown."""
     clock_speed: ClockSpeeds
     """Simulated seconds per wall second that are asked for; each value is flown."""
-    variant: Annotated[str, Field(pattern=r"^[a-z0-9_]*$")] = ""
+    variant: NameOrNone = ""
     """Distinguishes these trainings from others of the same command and ClockSpeed; claims use those without one."""
     task: dict[str, Any] = Field(default_factory=dict)
     """Dotted keys of the task, in training and evaluation."""
