@@ -18,25 +18,6 @@ from tests.running import full_device
 from uavaccel.draw import film as films
 from uavaccel.draw.film import IMPACT, Film, frames, movie, poster, write_contact_sheet, write_video
 from uavaccel.draw.page import Movie, to_html
-from uavaccel.draw.panels import (
-    DRONE,
-    GOAL,
-    GROUND,
-    OBSTACLE,
-    OUTSIDE,
-    TAKEN,
-    TRACK,
-    UNTAKEN,
-    WALL,
-    View,
-    around,
-    draw_lane,
-    draw_ratings,
-    draw_target,
-    draw_track,
-    follow,
-    whole_lane,
-)
 from uavaccel.draw.style import Decisions, dvs_picture
 from uavaccel.errors import UserError
 from uavaccel.files import UNFINISHED
@@ -71,10 +52,10 @@ def test_a_frame_shows_camera_events_and_map() -> None:
     left, right = second[200, 600].astype(int), second[200, 1000].astype(int)
     assert left[0] > left[2] + 100  # ON is blue
     assert right[2] > right[0] + 100  # OFF is red
-    near, lane = follow((1.5, 0.0), (208, 288)), whole_lane((1256, 86))
+    near, lane = films.follow((1.5, 0.0), (208, 288)), films.whole_lane((1256, 86))
     track = film.position_m[:2, :2]
-    assert np.array_equal(second[64:352, 1060:1268], draw_track(draw_lane(film.layout, near), near, track))
-    assert np.array_equal(second[380:466, 12:1268], draw_track(draw_lane(film.layout, lane), lane, track))
+    assert np.array_equal(second[64:352, 1060:1268], films.draw_track(films.draw_lane(film.layout, near), near, track))
+    assert np.array_equal(second[380:466, 12:1268], films.draw_track(films.draw_lane(film.layout, lane), lane, track))
 
 
 def test_what_a_frame_says(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -109,10 +90,10 @@ def test_below_are_the_view_from_behind_and_what_was_decided() -> None:
     assert given == [[grey] * 3 for grey in (10, 110, 10, 20, 120, 20)]
     assert third[600, 1000].tolist() == [255] * 3  # no fourth plane
     for command, (order, taken) in enumerate((((1, 0, 2), 2), ((1, 0, 2), 0))):
-        bars = draw_ratings(decided([0]), command, (208, 288))
+        bars = films.draw_ratings(decided([0]), command, (208, 288))
         for place, action in enumerate(order):  # from west to east
             column = bars[:, round((place + 0.5) * 208 / 3) - 20]
-            colour = TAKEN if action == taken else UNTAKEN
+            colour = films.TAKEN if action == taken else films.UNTAKEN
             better = decided([0]).ratings[command, action] - decided([0]).ratings[command].min()
             assert (column == colour).all(axis=1).sum() == pytest.approx((better + 0.1) * 224 / 1.1, abs=2)
 
@@ -125,17 +106,17 @@ def test_outside_of_a_lane_the_map_is_of_the_whole_flight(
     film = replace(flown(samples=3), layout=world, target_m=[30.0, 10.0, -2.0])
     first, *_, last = frames(film)
     assert first.shape == (*film.size[::-1], 3) == (366, 1280, 3)
-    near = around(np.array([[0.0, 0.0], [30.0, 10.0]]), (208, 288))
-    ground = draw_target(draw_lane(world, near), near, (30.0, 10.0))
-    assert (ground == OBSTACLE).all(axis=2).any() == (world is not None)
-    assert np.array_equal(last[64:352, 1060:1268], draw_track(ground, near, film.position_m[:, :2]))
+    near = films.around(np.array([[0.0, 0.0], [30.0, 10.0]]), (208, 288))
+    ground = films.draw_target(films.draw_lane(world, near), near, (30.0, 10.0))
+    assert (ground == films.OBSTACLE).all(axis=2).any() == (world is not None)
+    assert np.array_equal(last[64:352, 1060:1268], films.draw_track(ground, near, film.position_m[:, :2]))
     if world is not None:
         parked = world.rows.copy()
         parked[:, Z] = PARKED_Z_M
-        assert not (draw_lane(replace(world, rows=parked), near) == OBSTACLE).all(axis=2).any()
+        assert not (films.draw_lane(replace(world, rows=parked), near) == films.OBSTACLE).all(axis=2).any()
     column, row = near.pixels((30.0, 10.0)) >> 4
     assert column > 104 > 0 < row < 144  # north is up, east to the right
-    assert first[64 + row, 1060 + column].tolist() == [*GOAL]
+    assert first[64 + row, 1060 + column].tolist() == [*films.GOAL]
     monkeypatch.setattr(films, "write", lambda page, text, *_, **__: said.append(text))
     list(frames(film))
     assert "the whole lane, start on the left" not in said
@@ -149,10 +130,10 @@ def test_an_impact_is_marked_and_held() -> None:
     assert all(np.array_equal(a, b) for a, b in zip(shown[:2], plain, strict=False))
     assert all(np.array_equal(frame, shown[2]) for frame in shown[3:])
     assert shown[2][66, 200].tolist() == list(IMPACT)  # around the camera's picture
-    place = follow((3.0, 0.0), (208, 288)).pixels((3.0, 0.0)) >> 4
+    place = films.follow((3.0, 0.0), (208, 288)).pixels((3.0, 0.0)) >> 4
     for x, y in ((8, 8), (-8, 8), (8, -8), (-8, -8)):  # a cross on the map
         at = 64 + place[1] + y, 1060 + place[0] + x
-        assert shown[2][at].tolist() == list(DRONE) != plain[2][at].tolist()
+        assert shown[2][at].tolist() == list(films.DRONE) != plain[2][at].tolist()
 
 
 @pytest.mark.parametrize(
@@ -295,7 +276,7 @@ def test_a_contact_sheet_shows_moments_to_the_last(tmp_path: Path) -> None:
 # --- the map ------------------------------------------------------------------------------------------------
 
 
-def pixel(picture: np.ndarray, view: View, place_m: tuple[float, float]) -> tuple[int, ...]:
+def pixel(picture: np.ndarray, view: films.View, place_m: tuple[float, float]) -> tuple[int, ...]:
     x, y = view.pixels(place_m) >> 4
     return tuple(picture[y, x].tolist())
 
@@ -303,26 +284,29 @@ def pixel(picture: np.ndarray, view: View, place_m: tuple[float, float]) -> tupl
 def test_the_map_shows_walls_goal_obstacles_and_the_way_flown() -> None:
     some = sample_layout(3)
     drawn = replace(some, round=np.arange(len(some)) % 2 == 0, half_width_m=np.full(len(some), 0.5))
-    view = whole_lane((1256, 86))
+    view = films.whole_lane((1256, 86))
     assert view.pixels((0.0, 0.0))[0] < view.pixels((150.0, 0.0))[0]  # north is to the right
     assert view.pixels((0.0, 0.0))[1] < view.pixels((0.0, 4.0))[1]  # east is down
-    picture = draw_lane(drawn, view)
-    assert pixel(picture, view, (5.0, 0.0)) == GROUND
-    assert pixel(picture, view, (150.2, 0.0)) == GOAL
-    assert pixel(picture, view, (50.0, 5.12)) == pixel(picture, view, (50.0, -5.12)) == WALL
+    picture = films.draw_lane(drawn, view)
+    assert pixel(picture, view, (5.0, 0.0)) == films.GROUND
+    assert pixel(picture, view, (150.2, 0.0)) == films.GOAL
+    assert pixel(picture, view, (50.0, 5.12)) == pixel(picture, view, (50.0, -5.12)) == films.WALL
     for x_m, y_m in zip(drawn.x_m, drawn.y_m, strict=True):
-        assert pixel(picture, view, (x_m, y_m)) == OBSTACLE
+        assert pixel(picture, view, (x_m, y_m)) == films.OBSTACLE
     for x_m, y_m, is_round in zip(drawn.x_m[:8], drawn.y_m[:8], drawn.round, strict=False):
-        close = follow((x_m, 0.0), (1050, 1440))  # 100 pixels per metre
-        corner = pixel(draw_lane(drawn, close), close, (x_m + 0.45, y_m + 0.45 * (-1 if y_m > 0 else 1)))
-        assert corner == (GROUND if is_round else OBSTACLE)
-    near = follow((3.0, 1.0), (208, 288))
+        close = films.follow((x_m, 0.0), (1050, 1440))  # 100 pixels per metre
+        corner = pixel(films.draw_lane(drawn, close), close, (x_m + 0.45, y_m + 0.45 * (-1 if y_m > 0 else 1)))
+        assert corner == (films.GROUND if is_round else films.OBSTACLE)
+    near = films.follow((3.0, 1.0), (208, 288))
     assert near.pixels((3.0, 0.0)).tolist() == [104 * 16, 216 * 16]  # in the middle, a quarter of the height up
     assert near.pixels((4.0, 0.0))[1] < near.pixels((3.0, 0.0))[1]  # north is up
     assert near.pixels((3.0, 1.0))[0] > near.pixels((3.0, 0.0))[0]
     assert near.scale == pytest.approx(208 / 10.5)
-    tracked = draw_track(draw_lane(drawn, near), near, [(0.0, 0.0), (3.0, 0.0)])
-    assert pixel(tracked, near, (3.0, 0.0)) == DRONE
-    assert pixel(tracked, near, (1.0, 0.0)) == TRACK
-    assert pixel(tracked, near, (4.0, 0.0)) == GROUND
-    assert pixel(draw_lane(drawn, whole_lane((1256, 200))), whole_lane((1256, 200)), (50.0, 8.0)) == OUTSIDE
+    tracked = films.draw_track(films.draw_lane(drawn, near), near, [(0.0, 0.0), (3.0, 0.0)])
+    assert pixel(tracked, near, (3.0, 0.0)) == films.DRONE
+    assert pixel(tracked, near, (1.0, 0.0)) == films.TRACK
+    assert pixel(tracked, near, (4.0, 0.0)) == films.GROUND
+    assert (
+        pixel(films.draw_lane(drawn, films.whole_lane((1256, 200))), films.whole_lane((1256, 200)), (50.0, 8.0))
+        == films.OUTSIDE
+    )
