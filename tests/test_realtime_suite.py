@@ -23,9 +23,8 @@ from uavaccel.own_code import trusting
 from uavaccel.records import RunDirectory
 from uavaccel.resources import experiment
 from uavaccel.suites import realtime_agents as agents
-from uavaccel.suites.realtime import Evaluation, Realtime
+from uavaccel.suites.realtime import AgentBlock, EnvironmentBlock, Evaluation, Realtime
 from uavaccel.suites.realtime_agents import LookAhead, measured, policy_of, timed, train, training
-from uavaccel.suites.realtime_config import AgentBlock, EnvironmentBlock
 from uavaccel.suites.realtime_report import panels_figure
 
 pytestmark = pytest.mark.usefixtures("whole_messages")

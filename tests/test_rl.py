@@ -144,7 +144,7 @@ def test_seeds_are_outermost_and_options_choose_cells() -> None:
     assert {name.split("-")[0] for name in names(profile="native")} == {"native"}
     few, many = names(), names(seeds=2)
     assert [name[-1] for name in many[:12]] == ["0"] * 6 + ["1"] * 6
-    assert (len(few), set(few) <= set(many), set(Rl().may_grow(Path()))) == (12, True, {"seeds", "exact_seeds"})
+    assert (len(few), set(few) <= set(many), set(Rl.grows)) == (12, True, {"seeds", "exact_seeds"})
     more_exact = small("exact_seeds=3")  # of policies that there are
     assert [case.exact for case in Rl().cases(more_exact)] == [False] * 6 + [True] * 6
     stages = [(Rl().stage(case), case.exact) for case in Rl().cases(small(seeds=2))]
