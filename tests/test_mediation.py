@@ -191,7 +191,8 @@ def cell(*won: ArrayLike) -> pd.DataFrame:
     return pd.DataFrame({"won": [np.array(lanes, bool) for lanes in won]})
 
 
-def test_a_part_of_a_loss_is_a_share_with_an_interval_over_trainings_and_lanes() -> None:
+def test_a_part_of_a_loss_is_a_share_with_an_interval_over_trainings_and_lanes(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("uavaccel.suites.mediation.RESAMPLES", 400)
     lanes = np.arange(200)
     cells = {
         "a/usual": cell(lanes >= 0),

@@ -348,7 +348,7 @@ def test_intervals_cover_what_other_trainings_win_on_other_lanes(policies: int, 
 def test_ratios_and_differences_cover_and_are_narrower_in_pairs(same_policies: bool) -> None:
     """Of two kinds of policies, or of the same ones flown in two ways; the truth is 1, or 0."""
     rng, covered, widths = np.random.default_rng(1), [], []
-    for _ in range(300):
+    for _ in range(150):
         easy = rng.standard_normal(100)
         skills = 0.7 * rng.standard_normal((2, 5, 1))
         chance = 1 / (1 + np.exp(-(2 + skills[[0, 0 if same_policies else 1]] + 1.5 * easy)))
