@@ -280,7 +280,7 @@ def test_processes_change_no_byte_interrupted_or_killed_too() -> None:
         UserError, match=r"^a worker process was killed, by its user or for memory; go on with --resume"
     ):
         certify(Count, Drawing(end_worker), out="lost", jobs=2, **TIMES)
-    certify(Count, Drawing(), out="lost", jobs=2, resume=True, **TIMES)
+    certify(Count, Drawing(), out="lost", resume=True, **TIMES)
     assert contents("lost") == contents("whole")
 
 
