@@ -506,7 +506,7 @@ def the_model() -> Text:
     yield f"| the paper | {' | '.join(f'{each:g}' for each in paper_results.SIMULATION_SPEEDUP.values())} |"
     yield f"TCSC's worst cell has {cells[cells.command == 'tcsc'].stlc_median.min():.3f}."
     command_s = command_wall_s("adsc", 1.0, shipped)
-    thinking_s = paper_results.thinking_share() * command_s
+    thinking_s = paper_results.THINKING_SHARE * command_s
     yield f"{1e3 * thinking_s:.1f} ms of {command_s:.3f} s outside the simulation"
     yield f"{1e3 * agent_costs(shipped)['inference_s']:.0f} ms per decision"
     for hz in (30.0, 60.0, 120.0):

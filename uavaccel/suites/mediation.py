@@ -164,6 +164,7 @@ class Mediation(SuiteOfRuns[MediationConfig, PolicyCase]):
     name = "mediation"
     config = MediationConfig
     row = MediationRow
+    grows = ("seeds",)
     arrays: ClassVar = {f"*_{name}": replace(form, shape=("n",)) for name, form in OUTCOMES.items()}
 
     def check(self, config: MediationConfig) -> None:
@@ -206,9 +207,6 @@ class Mediation(SuiteOfRuns[MediationConfig, PolicyCase]):
         first = parts[0].resolve(config.seed)
         known = first[0].name != "train" or first[1].env_id == LANE
         return [first, *(part.resolve(config.seed) for part in parts[1:] if known)]
-
-    def may_grow(self, folder: Any) -> tuple[str, ...]:
-        return ("seeds",)
 
     def renders(self, config: MediationConfig) -> bool:
         return any(suite.renders(run) for suite, run in self.runs(config, next(self.policies_of(config))))

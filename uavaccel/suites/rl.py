@@ -11,7 +11,6 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import product
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, NotRequired, TypeAlias
 
 import numpy as np
@@ -205,6 +204,7 @@ class Rl(SuiteOfRuns[RlConfig, TrainingCase]):
     name = "rl"
     config = RlConfig
     row = RlRow
+    grows = ("seeds", "exact_seeds")
     arrays: ClassVar = {f"*_{name}": ArrayForm(form.kinds, ("n",)) for name, form in OUTCOMES.items() if name != "game"}
 
     def check(self, config: RlConfig) -> None:
@@ -243,9 +243,6 @@ class Rl(SuiteOfRuns[RlConfig, TrainingCase]):
 
     def games(self, config: RlConfig, case: TrainingCase) -> int:
         return case.games
-
-    def may_grow(self, folder: Path) -> tuple[str, ...]:
-        return ("seeds", "exact_seeds")
 
     def stage(self, case: TrainingCase) -> int:
         """Policies are evaluated in the exact simulator once all of them are trained."""
