@@ -370,6 +370,15 @@ def test_an_environment_that_does_not_fit_is_one_line(
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.parametrize("asked", [{"observe_actions": 1}, {"observe_planned": 1}])
+def test_actions_of_any_length_are_not_observed(asked: dict[str, Any]) -> None:
+    inside: Any = Counting()
+    inside.action_space = spaces.Sequence(spaces.Discrete(2))
+    said = "observe_actions, observe_planned: actions of a Sequence have no fixed length"
+    with pytest.raises(UserError, match=f"^{said}"):
+        RealTime(inside, 0.1, default_action=(), **asked)
+
+
 def test_a_step_lasts_what_the_environment_says_dt_before_tau() -> None:
     inside: Any = Counting()
     inside.tau = 0.5

@@ -230,7 +230,7 @@ class Extras:
     """What an agent is told beside the observation: entries of it, which is flat then, and of the info.
 
     They are the age of the last observation, the latest actions, and the planned ones. `single` is the space of one
-    action, not of a chunk. Raises UserError where observations are not arrays.
+    action, not of a chunk. Raises UserError where observations, or the actions among them, are not arrays.
     """
 
     def __init__(self, observation: spaces.Space[Any], single: spaces.Space[Any], options: LoopOptions) -> None:
@@ -244,6 +244,9 @@ class Extras:
         if not isinstance(observation, spaces.Box):
             asked = "observe_age, observe_actions, observe_planned"
             raise UserError(f"{asked}: need a Box of observations, not {observation}")
+        if (count or self._periods) and not single.is_np_flattenable:
+            name = type(single).__name__
+            raise UserError(f"observe_actions, observe_planned: actions of a {name} have no fixed length")
         bounds = [(observation.low.ravel(), observation.high.ravel())]
         if self._age:
             bounds.append((np.zeros(1), np.full(1, np.inf)))
