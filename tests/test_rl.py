@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import os
+from itertools import product
 from pathlib import Path
 from typing import Any
 
+import pandas as pd
 import pytest
+from matplotlib.figure import Figure
 
 from tests import made_runs as made
 from tests.opengl import needs_opengl
@@ -16,7 +19,7 @@ from uavaccel.records import RunDirectory
 from uavaccel.suites import parts
 from uavaccel.suites.grid import Sweep
 from uavaccel.suites.parts import Part
-from uavaccel.suites.rl import Rl, RlConfig, collapse, over_gaps, parts_of
+from uavaccel.suites.rl import Rl, RlConfig, collapse, draw_variants, over_gaps, parts_of
 
 pytestmark = pytest.mark.usefixtures("trainings_here")
 
@@ -233,6 +236,21 @@ def test_the_headline_tells_slowest_and_fastest_training(tmp_path: Path) -> None
         told_of = "modelled, but for the times of this machine · 3 trainings of 5000 games"
         assert Rl().source(report) == f"{told_of}, each policy flown on 100, 200 lanes at 2x · seed 0, 1"
     assert Rl().status(rows) == f"{rows[1]['case']} won 20 of 40"
+
+
+def test_variants_are_compared_by_common_seeds_and_drawn_apart(tmp_path: Path) -> None:
+    """One seed of three has a plain training; the profiles have a line each that differs from the other."""
+    rows: list[Any] = []
+    for profile, clock in product(("airsim", "native"), (1.0, 9.0)):
+        rows += made.rl_rows("adsc", clock, [range(40), range(4), []], variant="told", profile=profile)
+        rows += made.rl_rows("adsc", clock, [range(30)], profile=profile)
+    variants = made.rl(tmp_path / "run", rows).summary["variants"]
+    for cell in variants:
+        assert (cell["seeds"], cell["games"], cell["success_ratio"]) == ([0], 40, 1.0)
+        assert cell["difference"]["value"] == cell["success_ratio"] - cell["plain"]["success_ratio"] == 0.25
+    draw_variants(axes := Figure().add_subplot(), pd.DataFrame(variants))
+    looks = {line.get_label(): line.get_linestyle() for line in axes.lines}
+    assert looks.items() >= {"ADSC, airsim": "-", "ADSC, native": "--"}.items()
 
 
 def taken(device: str, gpus: int, monkeypatch: pytest.MonkeyPatch) -> list[str | None]:

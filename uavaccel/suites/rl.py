@@ -605,10 +605,10 @@ def as_trained(group: Flights, trained: Flights) -> Iterator[dict[str, Any]]:
 
 
 def against_plain(own: Flights) -> Iterator[dict[str, Any]]:
-    """Yield the comparison, in real time, of each variant with the same seeds of the cell without one, if flown."""
+    """Yield the comparison, in real time, of each variant and the cell without one, of the seeds that both have."""
     for _, group in own[own.variant != ""].groupby(KEY, sort=False):
         plain = where(own, **key_of(group) | {"variant": ""})
-        plain = plain[plain.seed.isin(group.seed)]
+        plain, group = (some[some.seed.isin({*plain.seed} & {*group.seed})] for some in (plain, group))
         if len(plain):
             difference = _compare(group, plain, "difference", same_policies=True)
             yield {
@@ -732,8 +732,8 @@ def variants_figure(report: Report, variants: pd.DataFrame) -> Picture:
 def draw_variants(axes: Axes, variants: pd.DataFrame) -> None:
     """Draw a line in its band for each command of each profile and timing of `against_plain`'s cells."""
     clocks = sorted(variants.clock_speed.unique())
-    lines = variants.groupby(["profile", "timing", "command"], sort=False)
-    for number, ((profile, timing, command), own) in enumerate(lines):
+    kinds = list(dict.fromkeys(zip(variants.profile, variants.timing, strict=True)))
+    for (profile, timing, command), own in variants.groupby(["profile", "timing", "command"], sort=False):
         cells = own.groupby("clock_speed")
         plain = pd.DataFrame(cells.plain.first().tolist())
         ends = cells.success_ratio.agg(["min", "max"])
@@ -742,7 +742,7 @@ def draw_variants(axes: Axes, variants: pd.DataFrame) -> None:
             np.minimum(ends["min"], plain.success_ratio.values),
             np.maximum(ends["max"], plain.success_ratio.values),
         )
-        look: dict[str, Any] = {"color": style.COMMAND_COLOUR[command], "linestyle": ("-", "--", "-.")[number // 2 % 3]}
+        look = look_of({"command": command, "kind": (profile, timing)}, kinds)
         label = panel_name({"command": command, "profile": profile, "timing": timing, "variant": ""})
         plots.band(axes, places, plain.success_ratio, low, high, label=label, **look)
         plots.line(axes, places, plain.success_ratio, (plain.seeds_low, plain.seeds_high), **look)
