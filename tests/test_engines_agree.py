@@ -31,6 +31,7 @@ from uavaccel.envs.kernel_batch import KernelBatch
 from uavaccel.envs.navigate import Navigate
 from uavaccel.envs.obstacle_lane import ObstacleLane
 from uavaccel.envs.simulators import CUDA, check_flyable
+from uavaccel.envs.task import Task
 from uavaccel.errors import UserError
 from uavaccel.kernels import timeline as wire
 from uavaccel.kernels.appearance import empty_scenes, fill_scenes, read_appearance
@@ -644,7 +645,7 @@ def fly_a_command(task: Any) -> Any:
         return batch.step(np.full((3, 4), 0.5, np.float32))[0]
 
 
-def test_features_may_be_an_array_of_frames() -> None:
+def test_features_may_be_an_array_of_frames_and_fields_nested() -> None:
     class Listed(PostTask):
         def features(self, state: Any, course: Any) -> Any:
             return [list(state.position_m), list(state.linear_velocity_m_s)]
@@ -653,9 +654,12 @@ def test_features_may_be_an_array_of_frames() -> None:
         def features(self, state: Any, course: Any) -> Any:
             return np.array(super().features(state, course))
 
-    listed, arrayed = (fly_a_command(task) for task in (Listed, Arrayed))
+    class OfFields(Listed):
+        flat_state, fields, features = True, Listed.features, Task.features
+
+    listed, arrayed, fields = (fly_a_command(task) for task in (Listed, Arrayed, OfFields))
     assert listed.shape == (3, 2, 3)
-    np.testing.assert_array_equal(arrayed, listed)
+    np.testing.assert_array_equal([arrayed, fields], [listed] * 2)
 
 
 @pytest.mark.parametrize(("first", "later"), [(0.5, 2), (2, 0.5)])

@@ -257,7 +257,7 @@ class Judge:
         def frames() -> Number:
             made: Any = self.task.features(state, course) if own else self.task.fields(state, course)
             if not own:
-                made = [cast(full(number, like), "float64") for number in made]
+                made = mapped(lambda number: cast(full(number, like), "float64"), list(made))
             is_listed = isinstance(made, list | tuple)
             made = joined(made, like) if is_listed else namespace_of(like).moveaxis(made, -1, 0)
             return cast(made, "float32").reshape(shape)
