@@ -187,10 +187,12 @@ def _page(plan: Plan) -> Callable[[], AbstractContextManager[object]]:
 
 def report_run(run: RunDirectory) -> None:
     """Write a run's report, and print its result and the paths of its figures."""
+    from uavaccel.own_code import errors_named, files_of
     from uavaccel.suites.registry import suite_of
 
-    report = suite_of(run).report(run)
-    with working("the report"):
+    suite = suite_of(run)
+    report = suite.report(run)
+    with working("the report"), errors_named(files_of(type(suite))):
         summary = report.write()
     for line in filter(None, (report.headline(), report.pace())):
         console.print(line)

@@ -69,8 +69,11 @@ class Report:
 
     @cached_property
     def summary(self) -> Summary:
-        """The contents of summary.json."""
-        return self.suite.summary(self)
+        """The contents of summary.json. Raises UserError where the suite makes no mapping."""
+        made = self.suite.summary(self)
+        if not isinstance(made, Mapping):
+            raise UserError(f"{self.suite.name}: summary returned a {type(made).__name__}, not a mapping")
+        return made
 
     def figure(self, name: str, figure: Figure, caption: str, alt: str, games: Games | None = None) -> Picture:
         """Save a figure as figures/NAME.png, and return its block; of several clocks the caption names the games'."""

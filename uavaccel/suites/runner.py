@@ -17,6 +17,9 @@ from dataclasses import replace
 from functools import partial
 from itertools import groupby, islice
 from pathlib import Path
+from typing import Any
+
+import numpy as np
 
 from uavaccel.config import MOST_GAMES, MOST_PROCESSES
 from uavaccel.errors import UsageError, UserError
@@ -56,9 +59,16 @@ def check_jobs(suite: AnySuite, config: Experiment, jobs: int, engine: str = LOK
 
 
 def cases_of(suite: AnySuite, config: Experiment) -> list[Case]:
-    """Return all cases. Raises UserError for none or too many, equal names, and names that files cannot have."""
+    """Return all cases. Raises UserError for none or too many, for equal names, those that files cannot have, and for
+    what is no case."""
     with errors_named(files_of(type(suite))):
-        cases = list(islice(suite.cases(config), MOST_GAMES + 1))
+        made = suite.cases(config)
+        if not isinstance(made, Iterable):
+            raise UserError(f"{suite.name}: cases returned a {type(made).__name__}, not cases")
+        cases = list(islice(made, MOST_GAMES + 1))
+    for case in cases:
+        if lacking := [name for name in ("id", "timing", "simulated_s") if not hasattr(case, name)]:
+            raise UserError(f"{suite.name}: cases has a {type(case).__name__} without {', '.join(lacking)}")
     if not cases:
         raise UserError(f"{suite.name}: there is no game to fly: cases is empty")
     if len(cases) > MOST_GAMES:
@@ -147,11 +157,19 @@ def _games(
             yield from zip(cases, games, strict=True)
             continue
         try:
-            with _own_errors(suite, config), suite.open(config, timing, run) as opened:
+            with _own_errors(suite, config), _opened(suite, config, timing, run) as opened:
                 for case in cases:
                     yield case, fly_case(suite, config, case, opened)
         except BatchError as error:
             raise UserError(f"{error}; go on with --resume") from error
+
+
+def _opened(suite: AnySuite, config: Experiment, timing: str, run: RunDirectory) -> AbstractContextManager[Opened]:
+    """Return what games are flown in. Raises UserError where it is no context manager."""
+    opened: Any = suite.open(config, timing, run)
+    if not isinstance(opened, AbstractContextManager):
+        raise UserError(f"{suite.name}: open returned a {type(opened).__name__}, not a context manager")
+    return opened
 
 
 @contextmanager
@@ -186,7 +204,7 @@ def _fly_in_worker(config: Experiment, case: Case, folder: Path, place: Path | N
             suite = suite_of(run)
             left = ExitStack()
             with _own_errors(suite, config):
-                _OPENED[key] = suite, left.enter_context(suite.open(config, case.timing, run)), left
+                _OPENED[key] = suite, left.enter_context(_opened(suite, config, case.timing, run)), left
             atexit.register(_leave_in_worker, str(folder))  # where this process ends with the run
         suite, opened, _ = _OPENED[key]
         with _own_errors(suite, config):
@@ -199,6 +217,13 @@ def _leave_in_worker(folder: str) -> None:
         _OPENED.pop(key)[-1].close()
 
 
+def _is_array(values: object) -> bool:
+    try:
+        return not np.asarray(values).dtype.hasobject
+    except ValueError:  # lists of different lengths
+        return False
+
+
 def fly_case(suite: AnySuite, config: Experiment, case: Case, opened: Opened) -> GameResult:
     """Fly a case, and add the host's time and load. Raises UserError where a custom suite's result is none."""
     game, host = timed(lambda: suite.fly(config, case, opened))
@@ -208,6 +233,11 @@ def fly_case(suite: AnySuite, config: Experiment, case: Case, opened: Opened) ->
             raise UserError(f"{where} returned a {type(game).__name__}, not a uavaccel.suites.suite.GameResult")
         if not isinstance(game.row, dict) or game.row.get("case", case.id) != case.id:
             raise UserError(f"{where}: its row has to be a mapping, of no other case")
+        if wrong := [name for name in game.row if not isinstance(name, str)]:
+            raise UserError(f"{where}: its row has {wrong[0]!r} for a name, which has to be a text")
+        for name, values in (game.arrays or {}).items():
+            if not _is_array(values):
+                raise UserError(f"{where}: its array {name!r} is none, of numbers or texts")
         try:
             to_json({"row": game.row, "host": game.host})
         except (TypeError, ValueError) as error:
