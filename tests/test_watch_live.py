@@ -290,16 +290,16 @@ def test_a_trainings_lanes_are_heard_from_their_processes(feed: Live, tmp_path: 
 
 @pytest.mark.slow
 def test_watching_changes_no_byte_of_runs_and_scripts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Runs in this process and in two workers, an evaluation, and a script in a process of its own."""
+    """A run, an evaluation, and a script in a process of its own."""
     monkeypatch.setattr(beside, "FIRST_SPECTATOR_S", 0.0)
     squares = configured("dp1", clock_speed=[50.0], t_move_s=[0.5], rounds=[1], games=2, timing="virtual", seed=3)
     lanes = configured("evaluate", "task.observation=state", agent="straight", games=2)
     (tmp_path / "script.py").write_text(SCRIPT)
     options = FlightOptions(tmp_path / "script.py", (), tmp_path, clock_speed=10.0, scratch=tmp_path)
 
-    def all_bytes(name: str, jobs: int) -> dict[str, bytes]:
+    def all_bytes(name: str) -> dict[str, bytes]:
         out = tmp_path / name
-        fly_into(out / "dp1", Dp1(), squares, jobs=jobs)
+        fly_into(out / "dp1", Dp1(), squares)
         fly_into(out / "evaluate", Evaluation(), lanes)
         flight = FlightOptions(**{**vars(options), "folder": out / "fly"})
         assert fly(flight, quiet=True).status == 0
@@ -307,9 +307,9 @@ def test_watching_changes_no_byte_of_runs_and_scripts(tmp_path: Path, monkeypatc
         files = [file for pattern in kept for file in sorted(out.rglob(pattern))]
         return {str(file.relative_to(out)): file.read_bytes() for file in files}
 
-    alone = all_bytes("alone", jobs=1)
+    alone = all_bytes("alone")
     with page_beside(port=18090):
-        watched = all_bytes("watched", jobs=2)
+        watched = all_bytes("watched")
     assert PAGE not in os.environ
     assert len(alone) > 10
     assert watched == alone
