@@ -16,7 +16,6 @@ from tests.processes import command_line, descendants
 from uavaccel.cli.main import main
 from uavaccel.fly import process
 from uavaccel.fly.options import FlightOptions
-from uavaccel.fly.script import checked_output
 
 ROOT = Path(__file__).parents[1]
 PATIENCE_S = 240.0  # after which a flight that does not end is a failure
@@ -87,13 +86,23 @@ class Folder:
         return Flown(ended.value.code, *self._said.readouterr())
 
     def fly_here(self, text: str, **options: Any) -> Flown:
-        """Fly a script's text in this process, which has loaded what it needs, and keep the flight in `out`."""
+        """Fly a script's text in this process, in lockstep unless told otherwise, and keep the flight in `out`."""
         script, out = self.write(text), self.path / "out"
         out.mkdir()
-        self._patch.setattr(sys, "argv", ["script.py"])
-        self._patch.setattr(sys, "path", ["", *sys.path])
-        self._patch.setitem(sys.modules, "__main__", sys.modules["__main__"])
-        self._patch.setattr(threading, "excepthook", threading.__excepthook__)
-        with checked_output():
-            status = process.fly(FlightOptions(script, (), out, **{"timing": "lockstep", **options}))
+        status = fly_here(FlightOptions(script, (), out, **{"timing": "lockstep", **options}))
         return Flown(status, *self._said.readouterr())
+
+
+def fly_here(options: FlightOptions) -> int:
+    """Fly a script in this process, which has loaded what it needs; its exit status."""
+    handlers = {kind: signal.getsignal(kind) for kind in (signal.SIGINT, signal.SIGTERM, signal.SIGUSR2)}
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sys, "argv", ["script.py"])
+        patch.setattr(sys, "path", ["", *sys.path])
+        patch.setitem(sys.modules, "__main__", sys.modules["__main__"])
+        patch.setattr(threading, "excepthook", threading.__excepthook__)
+        try:
+            return process.fly(options)
+        finally:
+            for kind, handler in handlers.items():
+                signal.signal(kind, handler)

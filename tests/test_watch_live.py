@@ -8,6 +8,7 @@ import os
 import socket
 import threading
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,12 +18,12 @@ import pytest
 from tests.flying import STRAIGHT, call, go_on, hovering, point, pose
 from tests.learning import tiny_config
 from tests.running import configured, fly_into
+from tests.scripts import fly_here
 from uavaccel.cli.experiments import run_experiment
 from uavaccel.clock import VirtualClock
 from uavaccel.commands import COMMANDS, VelocityGoal
 from uavaccel.envs.obstacle_lane import ObstacleLane
 from uavaccel.errors import UsageError
-from uavaccel.fly.command import fly
 from uavaccel.fly.options import FlightOptions
 from uavaccel.records import RunDirectory
 from uavaccel.sim.profile import NATIVE
@@ -290,7 +291,7 @@ def test_a_trainings_lanes_are_heard_from_their_processes(feed: Live, tmp_path: 
 
 @pytest.mark.slow
 def test_watching_changes_no_byte_of_runs_and_scripts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A run, an evaluation, and a script in a process of its own."""
+    """Of a run, an evaluation, and a script."""
     monkeypatch.setattr(beside, "FIRST_SPECTATOR_S", 0.0)
     squares = configured("dp1", clock_speed=[50.0], t_move_s=[0.5], rounds=[1], games=2, timing="virtual", seed=3)
     lanes = configured("evaluate", "task.observation=state", agent="straight", games=2)
@@ -301,8 +302,8 @@ def test_watching_changes_no_byte_of_runs_and_scripts(tmp_path: Path, monkeypatc
         out = tmp_path / name
         fly_into(out / "dp1", Dp1(), squares)
         fly_into(out / "evaluate", Evaluation(), lanes)
-        flight = FlightOptions(**{**vars(options), "folder": out / "fly"})
-        assert fly(flight, quiet=True).status == 0
+        (out / "fly").mkdir()
+        assert fly_here(replace(options, folder=out / "fly")) == 0
         kept = ("rows.jsonl", "*.npz", "messages.jsonl", "trajectory.csv")
         files = [file for pattern in kept for file in sorted(out.rglob(pattern))]
         return {str(file.relative_to(out)): file.read_bytes() for file in files}
