@@ -20,7 +20,6 @@ from tests.running import full_device
 from tests.scripts import Folder
 from uavaccel.airsim import MultirotorClient
 from uavaccel.cli.main import main
-from uavaccel.clock import time_module
 from uavaccel.errors import UserError
 from uavaccel.files import UNFINISHED
 from uavaccel.fly import simulated, wall
@@ -36,13 +35,11 @@ from uavaccel.fly.log import (
     write_states,
     write_trajectory,
 )
-from uavaccel.fly.modules import client_modules, importing
 from uavaccel.fly.options import SUMMARY, FlightOptions
 from uavaccel.fly.script import FlightOver, run_script
 from uavaccel.fly.simulated import FREE_CALLS, SimulatedFlight
 from uavaccel.kinematics import Kinematics
 from uavaccel.units import NS_PER_S
-from uavaccel.wire.rpc import RpcError
 from uavaccel.wire.settings import Settings
 from uavaccel.wire.types import EPOCH_NS
 
@@ -203,19 +200,6 @@ def test_the_end_keeps_a_recording_and_refuses_what_comes_after(
     assert flight._log.calls == calls
 
 
-def test_loops_that_poll_come_to_an_end(flight_in: FlightMaker, tmp_path: Path) -> None:
-    """Without latencies a loop that waits for a time, or for a state, would never see it."""
-    flight = flight_in(tmp_path)
-    client, time = client_of(flight), time_module(flight.epoch_now_ns, flight.pass_time)
-    start = time.perf_counter()
-    while time.perf_counter() < start + 0.01:
-        pass
-    polls = 0
-    while client.getMultirotorState().timestamp < EPOCH_NS + NS_PER_S:
-        polls += 1
-    assert FREE_CALLS < polls < FREE_CALLS + 1001
-
-
 @pytest.mark.parametrize("timing", ["virtual", "wall"])
 def test_until_keeps_the_flight_of_a_script_that_catches_all(timing: str, folder: Folder) -> None:
     text = """
@@ -258,23 +242,6 @@ def test_of_the_calls_since_a_wait_so_many_are_free(flight_in: FlightMaker, tmp_
             assert (flight.summary()["script_s"] == begun_s) == free
 
 
-def test_a_flight_in_virtual_time_is_charged_latencies(
-    flight_in: FlightMaker, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """But not for sending what it waits for."""
-    monkeypatch.setattr("uavaccel.wire.latency.Latency.issue_ns", lambda latency: NS_PER_S)
-    flight = flight_in(tmp_path, timing="virtual")
-    client = client_of(flight)
-    times = [client.getMultirotorState().timestamp for _ in range(200)]
-    assert times[0] + 10_000_000 < times[-1] < times[0] + NS_PER_S
-    seeded = [
-        client_of(flight_in(tmp_path / name, timing="virtual", seed=seed))
-        for name, seed in (("a", 1), ("b", 1), ("c", 2))
-    ]
-    one, same, other = ([each.getMultirotorState().timestamp for _ in range(50)] for each in seeded)
-    assert one == same != other
-
-
 # --- nothing fails silently ----------------------------------------------------------------------------------------
 
 
@@ -297,47 +264,7 @@ def test_long_values_are_logged_by_length_and_digest() -> None:
     assert brief("a" * 199) == {"bytes": 201, "sha256": digest[:32]}
 
 
-def test_refused_commands_are_told_once(
-    flight_in: FlightMaker, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    flight = flight_in(tmp_path)
-    client = client_of(flight)
-    for _ in range(3):
-        client.moveByVelocityAsync(float("nan"), 0, 0, 1).join()
-        with pytest.raises(RpcError):
-            client.client.call("simNothing")
-    said = capsys.readouterr().err
-    assert said.count("moveByVelocity was refused: vx must be finite") == 1
-    assert said.count("simNothing is not known here") == 1
-    refused = flight.summary()["refused"]
-    assert [line.partition(" x ")[0] for line in refused] == ["3", "3"]
-
-
 # --- imports -------------------------------------------------------------------------------------------------------
-
-
-def test_a_script_imports_our_client_and_its_own_clock(folder: Folder) -> None:
-    folder.write("from time import monotonic\nimport random\nseen = monotonic()\n", "helper.py")
-    path = folder.write("""
-        import airsim, cosysairsim, setup_path, helper, time, logging, sys, os
-        from airsim.types import Vector3r
-        import airsim.client
-        from msgpackrpc.error import RPCError
-        import uavaccel.airsim
-        same = airsim is cosysairsim is uavaccel.airsim and airsim.client.VehicleClient is airsim.VehicleClient
-        own, library, place = time.time(), logging.time.time(), (sys.argv, sys.path[0], __file__)
-        sys.exit(0 if same and own == 5 and helper.seen == 5 and library > 1e9 and place == (
-            [__file__, "x"], os.path.dirname(os.path.abspath(__file__)), place[2]) else "unexpected")
-    """)  # fmt: skip
-    before = (sys.argv[:], sys.path[:], sys.modules["__main__"])
-    clock = time_module(lambda: 5 * NS_PER_S, lambda seconds: None)
-    try:
-        with importing(client_modules(), {"time": clock}):
-            assert run_script(path, ("x",)).status == 0
-        assert "airsim" not in sys.modules
-    finally:
-        sys.argv[:], sys.path[:], sys.modules["__main__"] = before
-        sys.modules.pop("helper", None)
 
 
 def test_no_python_is_one_line(folder: Folder) -> None:

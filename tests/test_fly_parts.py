@@ -71,7 +71,7 @@ def fly(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Any:
     return flown
 
 
-@pytest.mark.parametrize("seed", [0, 7, None])
+@pytest.mark.parametrize("seed", [0, None])
 def test_a_seed_is_that_of_both_global_generators_and_nought_is_one(fly: Any, seed: int | None) -> None:
     before = random.getstate(), np.random.get_state()  # noqa: NPY002
     random.seed(3)
