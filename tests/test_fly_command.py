@@ -236,6 +236,18 @@ def test_a_process_ended_by_a_signal_has_a_shells_status_and_a_line(capsys: pyte
     assert crashed.endswith("was ended by SIGSEGV")
 
 
+def test_a_process_that_stays_stopped_is_killed_once(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    killed, polls, patience = list[bool](), iter([None, None, None, -9]), iter([False, True, True])
+    monkeypatch.setattr(command, "Patience", lambda _: SimpleNamespace(is_over=patience.__next__))
+    process: Any = SimpleNamespace(poll=polls.__next__, wait=lambda seconds: None, kill=lambda: killed.append(True))
+    assert _wait(process, None) == 137
+    assert killed == [True]
+    said = "uavaccel: error: the script's process was stopped, and killed since it did not go on\n"
+    assert capsys.readouterr().err == said
+
+
 class Waited:
     """A process whose waits end with a status, not in time, or with another Ctrl-C."""
 
