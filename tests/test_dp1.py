@@ -280,11 +280,7 @@ def test_a_row_tells_what_was_lost_and_stalled_in_seconds(stalled_ns: int, told:
 
 @pytest.mark.parametrize(
     ("damaged", "complaint"),
-    [
-        ("no JSON", "not JSON"),
-        ("[]", "needs at least one value"),
-        ('[{"event": "run"}]', "key '0.source' is missing"),
-    ],
+    [("no JSON", "not JSON"), ("[]", "needs at least one value"), ('[{"event": "run"}]', "key '0.source' is missing")],
 )
 def test_a_damaged_trace_is_the_users_mistake(damaged: str, complaint: str, tmp_path: Path) -> None:
     report = made.dp1(tmp_path / "run", ALIKE)
