@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import stat
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -38,6 +40,22 @@ def run_into(out: Path, suite: AnySuite, config: Experiment, resume: bool = Fals
         summary = suite.report(run).write()
     assert_sound((out / "report.html").read_text(encoding="utf-8"))
     return summary
+
+
+@contextmanager
+def stopped_at(here: Callable[[RunDirectory, Any], bool]) -> Iterator[None]:
+    """Interrupt a run, or a part of it, before the row of which this is true is in its file."""
+    append = RunDirectory.append_row
+
+    def append_or_stop(run: RunDirectory, row: Any, on_disk: bool = True) -> None:
+        if here(run, row):
+            raise KeyboardInterrupt
+        append(run, row, on_disk)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(RunDirectory, "append_row", append_or_stop)
+        with pytest.raises(KeyboardInterrupt):
+            yield
 
 
 def configured(experiment: str, *overrides: str, **options: Any) -> Any:

@@ -313,7 +313,7 @@ def test_the_agents_share_is_that_of_the_papers_two_differences() -> None:
     """Solved by hand for each alone: (1 + o) / (1 / s + o) = w; the fit lies between, nearer to the surer one."""
     simulation = {k: PAPERS_FRAME_SPEEDUPS[k] for k in PAPERS_WHOLE_SPEEDUPS}
     alone = [(1 - w / simulation[k]) / (w - 1) for k, w in PAPERS_WHOLE_SPEEDUPS.items()]
-    share = paper_results.thinking_share()
+    share = paper_results.THINKING_SHARE
     assert alone == pytest.approx([0.1 / 2.6, 0.1875 / 4.2])
     assert alone[0] < share < alone[1]
 
@@ -333,7 +333,7 @@ def test_the_agents_costs_take_the_fitted_share_of_a_command() -> None:
     costs = fit_agent.agent_costs(shipped_latency("airsim"))
     thinking_s = 3 * costs["task.image_processing_s"] + costs["inference_s"] + costs["learning_s"]
     real_s = command_wall_s("adsc", 1.0)
-    assert thinking_s / real_s == pytest.approx(paper_results.thinking_share(), abs=0.001)
+    assert thinking_s / real_s == pytest.approx(paper_results.THINKING_SHARE, abs=0.001)
     assert 0.040 < thinking_s < 0.055
     for k, whole in PAPERS_WHOLE_SPEEDUPS.items():
         speedup = (real_s + thinking_s) / (command_wall_s("tcsc", k) + thinking_s)

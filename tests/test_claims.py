@@ -319,22 +319,15 @@ def faster_on_one_round(cell: dict[str, Any]) -> None:
 
 
 SEVERAL = "690 of 3000 (23%, 3 trainings) v 30 of 3000 (1%, 3 trainings): 0.04 times [0.00, 0.5"
-BEYOND = "at most 3 cm; DVS-ED 5 % (median), above 3 % in 70.0% of the images, largest 10 %"
 
 
 @pytest.mark.parametrize(
     ("claim", "changes", "said"),
     [
-        ("speedup_62x", dp1("tcsc", 100.0, [1.84, 1.88] * 4), "58.8x [58.5, 59.1], error 7.0%"),
-        ("command_delay_grows", {}, "2 < 10 < 20 < 100 < 200 ms"),
-        ("reference_near_2", dp1("adsc", 1.0, [1.5] + [1.99] * 7), "1.990 ["),
         ("command_delay_grows", {"dp1": one_gap_differs}, "2 < 300 < 20 < 100 < 200 ms"),
-        ("callback_costs_most", {}, "20 v 7 ms"),  # wall time beyond the flight, as the cells were made
-        ("callback_costs_most", {"dp1": faster_on_one_round}, "20 v 7 ms"),
+        ("callback_costs_most", {"dp1": faster_on_one_round}, "20 v 7 ms"),  # wall time beyond the flight
         ("adsc_speedup_grows_with_duration", {"dp1": faster_on_one_round}, "20 < 33.3x"),
-        ("images_at_5x", dp2(k5=(0.03, 10.0)), BEYOND),
         ("adsc_collapses_at_5x", rl(games=1000, seeds=3, scatter=0.01), SEVERAL[:-4]),
-        ("rendering_costs_scalability", {}, "58.8x v 15.4x"),
         ("lines_peak_at_obstacles", {}, "; by chance 19%"),  # fourteen rows, 1 m before and behind each, of 150 m
         ("lines_peak_at_obstacles", {}, "100x 280 of 280 (100%)"),
         ("tcsc_loses_at_100x", rl(seeds=2), "2 trainings of TCSC at 100x, at least 3 are needed"),

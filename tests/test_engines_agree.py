@@ -291,7 +291,8 @@ class Engines:
             self.device = self._made_device()
             self.device.reset(seed=1)
             seen = self.device.set_states([stored(state) for state in states])
-            mapped(assert_seen, mapped(th.from_numpy, seen), batch.observations())
+            seen = mapped(lambda each: th.from_numpy(each).to(self.device.device), seen)
+            mapped(assert_seen, seen, batch.observations())
 
     def charge(self, spent_s: float, phase: str) -> None:
         self.lanes.charge(spent_s, phase)

@@ -44,7 +44,7 @@ from uavaccel.suites.suite import choose_row
 
 pytestmark = pytest.mark.usefixtures("whole_messages")
 
-LANES = 4
+LANES = 3
 FIGURE = "figures/figure8_survival.png"
 
 
@@ -125,7 +125,7 @@ def test_without_opengl_the_kernels_fly_and_films_are_left_out(
 
 @needs_opengl
 def test_films_of_the_best_and_the_worst(tmp_path: Path) -> None:
-    evaluate_agent(request("straight", tmp_path / "run", "task.max_commands=4", games=2), None, True)
+    evaluate_agent(request("straight", tmp_path / "run", "task.max_commands=2", games=2), None, True)
     made = sorted(path.name for path in (tmp_path / "run/films").iterdir())
     assert made == ["best.mp4", "best.png", "worst.mp4", "worst.png"]
     html = (tmp_path / "run/report.html").read_text()

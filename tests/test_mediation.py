@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,7 @@ import pandas as pd
 import pytest
 from numpy.typing import ArrayLike
 
-from tests.made_runs import run_of
+from tests.made_runs import run_of, thinking_row
 from tests.running import configured, fly_into, run_into
 from tools.fit_gap_law import conditions, fit, halves, judged, largest_gap
 from uavaccel.config import parse_yaml
@@ -191,7 +192,8 @@ def cell(*won: ArrayLike) -> pd.DataFrame:
     return pd.DataFrame({"won": [np.array(lanes, bool) for lanes in won]})
 
 
-def test_a_part_of_a_loss_is_a_share_with_an_interval_over_trainings_and_lanes() -> None:
+def test_a_part_of_a_loss_is_a_share_with_an_interval_over_trainings_and_lanes(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("uavaccel.suites.mediation.RESAMPLES", 400)
     lanes = np.arange(200)
     cells = {
         "a/usual": cell(lanes >= 0),
@@ -277,21 +279,10 @@ def made_delays(path: Path, largest_s: float) -> RunDirectory:
     config = configured(
         "realtime_law", "environments={pole: {id: InvertedPendulum-v5}}", f"latency_s={GAPS_S.tolist()}"
     )
-    cell = {"kind": "evaluation", "environment": "pole", "agent": "naive", "timing": "virtual", "command": "adsc"}
-    rows = [
-        {
-            **cell,
-            "case": f"pole-naive-s{seed}-adsc-{gap_s * 1e3:g}ms-1x",
-            "seed": seed,
-            "latency_s": gap_s,
-            "clock_speed": 1.0,
-            "returns": [1000.0 * (1.0 - 0.05 * gap_s / largest_s)] * 3,
-            "delays_s": [gap_s] * 3,
-            "late_s": 0.0,
-        }
-        for seed in range(2)
-        for gap_s in GAPS_S.tolist()
-    ]
+    rows = []
+    for seed, gap_s in product(range(2), GAPS_S.tolist()):
+        returns = [1000.0 * (1.0 - 0.05 * gap_s / largest_s)] * 3
+        rows.append(thinking_row("naive", "adsc", gap_s, 1.0, 0.0, environment="pole", seed=seed, returns=returns))
     return run_of(path, Realtime(), config, rows).run
 
 

@@ -116,9 +116,9 @@ def test_a_class_that_other_processes_cannot_import_is_one_line() -> None:
 def test_a_batch_flies_a_task_of_the_program_itself(tmp_path: Path) -> None:
     own = "class Own(Hover):\n    near_m: float = 1.0\n\n"
     begin = "import uavaccel\nfrom uavaccel.envs.hover import HoverTask as Hover\n"
-    fly = "print(uavaccel.make_vec(Own, 2).reset(seed=0)[0].shape)\n"
+    fly = "print(uavaccel.make_vec(Own, 1).reset(seed=0)[0].shape)\n"
     for guard, said in (
-        ("if __name__ == '__main__':\n    ", "(2, 13)"),
+        ("if __name__ == '__main__':\n    ", "(1, 13)"),
         ("", "must not fly then: put what flies below"),
     ):
         (tmp_path / "program.py").write_text(begin + own + guard + fly)

@@ -17,15 +17,14 @@ import pytest
 from tests import made_runs as made
 from tests.drawing import labelled
 from tests.made_runs import thinking_row
-from tests.running import configured, fly_into
+from tests.running import configured, fly_into, stopped_at
 from uavaccel.errors import UserError
 from uavaccel.own_code import trusting
 from uavaccel.records import RunDirectory
 from uavaccel.resources import experiment
 from uavaccel.suites import realtime_agents as agents
-from uavaccel.suites.realtime import Evaluation, Realtime
+from uavaccel.suites.realtime import AgentBlock, EnvironmentBlock, Evaluation, Realtime
 from uavaccel.suites.realtime_agents import LookAhead, measured, policy_of, timed, train, training
-from uavaccel.suites.realtime_config import AgentBlock, EnvironmentBlock
 from uavaccel.suites.realtime_report import panels_figure
 
 pytestmark = pytest.mark.usefixtures("whole_messages")
@@ -85,21 +84,10 @@ def test_its_cases_are_each_training_once_and_each_delay() -> None:
     assert [suite.games(config, case) for case in (some[0], some[-1])] == [1, 2]
 
 
-def test_a_run_that_was_interrupted_ends_with_the_same_bytes(
-    run: RunDirectory, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_run_that_was_interrupted_ends_with_the_same_bytes(run: RunDirectory, tmp_path: Path) -> None:
     """Stopped after both trainings and four evaluations; the others load the weights from the run's folder."""
-    append = RunDirectory.append_row
-
-    def interrupted(self: RunDirectory, row: Any, on_disk: bool = True) -> None:
-        if len(self.rows()) == 6:
-            raise KeyboardInterrupt
-        append(self, row, on_disk)
-
-    with monkeypatch.context() as patch:
-        patch.setattr(RunDirectory, "append_row", interrupted)
-        with pytest.raises(KeyboardInterrupt):
-            flown(tmp_path / "again", "seed=10")
+    with stopped_at(lambda again, _: len(again.rows()) == 6):
+        flown(tmp_path / "again", "seed=10")
     again = flown(tmp_path / "again", "seed=10", resume=True)
     assert (again.path / "rows.jsonl").read_bytes() == (run.path / "rows.jsonl").read_bytes()
 

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch as th
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
@@ -146,14 +146,17 @@ def test_resume_with_another_configuration_names_what_differs(run: RunDirectory,
 # --- rows ---------------------------------------------------------------------------------------------------
 
 
-@given(row=ROWS)
-def test_a_row_reads_back_equal_whatever_the_order_of_its_keys(
-    row: dict[str, Any], tmp_path_factory: pytest.TempPathFactory
+@settings(max_examples=5)
+@given(rows=st.lists(ROWS, min_size=10, max_size=20))
+def test_rows_read_back_equal_whatever_the_order_of_their_keys(
+    rows: list[dict[str, Any]], tmp_path_factory: pytest.TempPathFactory
 ) -> None:
     run = RunDirectory.create(tmp_path_factory.mktemp("rows") / "run", Flight(), MANIFEST)
-    run.append_row({**row, "case": "a"})
-    assert run.rows() == [{**row, "case": "a"}]
-    assert to_json(dict(reversed(row.items()))) == to_json(row)
+    named = [{**row, "case": str(number)} for number, row in enumerate(rows)]
+    for row in named:
+        run.append_row(row)
+        assert to_json(dict(reversed(row.items()))) == to_json(row)
+    assert run.rows() == named
 
 
 def test_rows_are_lines_in_their_order_one_for_each_case(run: RunDirectory) -> None:

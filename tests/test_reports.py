@@ -368,7 +368,7 @@ def rl_flights(path: Path) -> Report:
     told = [flights(range(30), range(10, 34), range(12), range(8, 14)), flights(*map(range, (20, 20, 10, 4)))]
     plain = [flights(*map(range, (10, 10, 12, 12))), flights(*map(range, (5, 5, 10, 10))), flights(range(40))]
     rows = made.rl_rows("tcsc", 5.0, told, variant="told") + made.rl_rows("tcsc", 5.0, plain)
-    rows += made.rl_rows("tcsc", 1.0, [[]] * 4)
+    rows += made.rl_rows("tcsc", 1.0, [range(3)] * 2, variant="told") + made.rl_rows("tcsc", 1.0, [[]] * 4)
     rows[-3]["training"]["weights_sha256"] = "other"  # of seed 1
     return made.rl(path, [*rows, made.exact_of(rows[0], range(4, 32))])
 

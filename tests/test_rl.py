@@ -9,9 +9,8 @@ from typing import Any
 import pytest
 
 from tests import made_runs as made
-from tests.learning import kill_at_row
 from tests.opengl import needs_opengl
-from tests.running import configured, run_into
+from tests.running import configured, run_into, stopped_at
 from uavaccel.errors import UserError
 from uavaccel.records import RunDirectory
 from uavaccel.suites import parts
@@ -52,27 +51,14 @@ def whole(trainings_here: None, tmp_path_factory: pytest.TempPathFactory) -> Run
 
 
 @pytest.mark.slow
-def test_killed_moved_interrupted_it_ends_with_equal_bytes(
-    tmp_path: Path, whole: RunDirectory, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Rows of a cell: three of its training, two of each of its evaluations, its own; each policy is flown twice."""
-    config = small(clock_speed=[1.0], profile="airsim")
-    kill_at_row(tmp_path / "killed", config, 10)
-    second = tmp_path / "killed/parts/airsim-virtual-adsc-1x-seed0"
-    assert [len(RunDirectory(path).rows()) for path in (tmp_path / "killed", second / "training")] == [1, 2]
-    append = RunDirectory.append_row
-
-    def interrupted(run: RunDirectory, row: Any, on_disk: bool = True) -> None:
-        if row["case"] == "lane-000001":
-            raise KeyboardInterrupt
-        append(run, row, on_disk)
-
-    with monkeypatch.context() as patch:
-        patch.setattr(RunDirectory, "append_row", interrupted)
-        with pytest.raises(KeyboardInterrupt):
-            run_into(tmp_path / "killed", Rl(), config, resume=True)
-    assert len(RunDirectory(second / "evaluation-adsc").rows()) == 1
-    moved = (tmp_path / "killed").rename(tmp_path / "moved")  # the evaluation names its policy by where it was
+def test_interrupted_and_moved_it_ends_with_equal_bytes(tmp_path: Path, whole: RunDirectory) -> None:
+    """In the second cell's training, of whose games two have a row, and in a flight of its policy."""
+    config, second = small(clock_speed=[1.0], profile="airsim"), tmp_path / "run/parts/airsim-virtual-adsc-1x-seed0"
+    for place, case in ((second / "training", "game-0000002"), (second / "evaluation-adsc", "lane-000001")):
+        with stopped_at(lambda run, row, at=(place, case): (run.path, row["case"]) == at):  # type: ignore[misc]
+            run_into(tmp_path / "run", Rl(), config, resume=True)
+        assert len(RunDirectory(tmp_path / "run").rows()) == 1
+    moved = (tmp_path / "run").rename(tmp_path / "moved")  # the evaluation names its policy by where it was
     run_into(moved, Rl(), config, resume=True)
 
     rows = RunDirectory(moved).rows()
@@ -144,7 +130,7 @@ def test_seeds_are_outermost_and_options_choose_cells() -> None:
     assert {name.split("-")[0] for name in names(profile="native")} == {"native"}
     few, many = names(), names(seeds=2)
     assert [name[-1] for name in many[:12]] == ["0"] * 6 + ["1"] * 6
-    assert (len(few), set(few) <= set(many), set(Rl().may_grow(Path()))) == (12, True, {"seeds", "exact_seeds"})
+    assert (len(few), set(few) <= set(many), set(Rl.grows)) == (12, True, {"seeds", "exact_seeds"})
     more_exact = small("exact_seeds=3")  # of policies that there are
     assert [case.exact for case in Rl().cases(more_exact)] == [False] * 6 + [True] * 6
     stages = [(Rl().stage(case), case.exact) for case in Rl().cases(small(seeds=2))]

@@ -41,12 +41,12 @@ def contents(run: Path) -> dict[str, bytes]:
 def test_a_seeds_run_is_that_of_a_training_with_this_seed_alone(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Killed in the second training, resumed in two processes with a third seed, and later with more games."""
+    """Killed in the second training, resumed with a third seed, and later with more games."""
     drawn: dict[str, Figure] = record_figures(monkeypatch)
     run = tmp_path / "run"
     kill_at_row(run, over(2), 8)  # four games of seed 7 and its row; three of seed 8
     assert [len(RunDirectory(path).rows()) for path in (run, run / "parts/seed7", run / "parts/seed8")] == [1, 4, 3]
-    run_into(run, Seeds(), over(3), resume=True, jobs=2)
+    run_into(run, Seeds(), over(3), resume=True)
     for seed in (7, 8, 9):
         train_into(tmp_path / f"alone{seed}", TRAINING.model_copy(update={"seed": seed}))
         assert contents(run / f"parts/seed{seed}") == contents(tmp_path / f"alone{seed}")

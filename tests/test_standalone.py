@@ -79,21 +79,23 @@ def test_the_notebooks_example_runs_there(site: Path, tmp_path: Path) -> None:
 
 
 def test_what_is_measured_is_replayed_there(site: Path, tmp_path: Path) -> None:
-    """A calibration file in YAML needs PyYAML, and says so; the one that is written is JSON too."""
+    """And certified. A calibration file in YAML needs PyYAML, and says so; the one that is written is JSON too."""
     program = """
 import gymnasium
 from uavaccel.errors import UserError
-from uavaccel.realtime import RealTime
+from uavaccel.realtime import RealTime, certify
 env = RealTime(gymnasium.make("CartPole-v1"), "measured", default_action=0)
 env.reset(seed=0)
 env.step(1)
 env.thinking.save("thinking.yaml")
-RealTime(gymnasium.make("CartPole-v1"), "thinking.yaml", default_action=0)
+how = {"calibration": "thinking.yaml", "episodes": 1, "default_action": 0}
+print(certify("CartPole-v1", lambda seen: 1, **how).line.partition(",")[0])
 open("own.yaml", "w").write("latency: {request_us: {call: [1]}}")
 try:
     RealTime(gymnasium.make("CartPole-v1"), "own.yaml", default_action=0)
 except UserError as error:
     print(error)
 """
-    said = run(site, program, tmp_path)
-    assert said == "own.yaml: no JSON, and to read YAML PyYAML is needed: pip install pyyaml\n"
+    certified, complaint = run(site, program, tmp_path).splitlines()
+    assert certified == "<lambda> in CartPole-v1: holds 90% of its return without latency"
+    assert complaint == "own.yaml: no JSON, and to read YAML PyYAML is needed: pip install pyyaml"

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import signal
-import subprocess
 import sys
-import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
@@ -82,7 +80,7 @@ def test_adsc_does_not(tmp_path: Path) -> None:
 @needs_opengl
 @pytest.mark.parametrize("seen", [{}, {"observation": "depth", "also_state": True}], ids=["events", "depth, state"])
 def test_a_training_cut_short_ends_with_the_same_weights(tmp_path: Path, seen: dict[str, Any]) -> None:
-    config = tiny_config({"timing": "virtual", **seen}, games=6, mirror=not seen)
+    config = tiny_config({"timing": "virtual", "max_commands": 6, **seen}, games=6, mirror=not seen)
     cut = start_run(Training(), config, tmp_path / "cut", {})
     with pytest.raises(RuntimeError, match="stopped"):
         run_suite(Training(), config, cut, on_game=stop_after(5))
@@ -98,19 +96,21 @@ def checkpointed(run: Path) -> int:
     return int(checkpoint.name)
 
 
-def test_a_batch_systems_end_leaves_a_checkpoint(tmp_path: Path) -> None:
+def test_a_batch_systems_end_leaves_a_checkpoint(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, said: Callable[[str], str]
+) -> None:
     config = tiny_config(STATE, mirror=False, games=100_000, checkpoint_games=100_000)
     (tmp_path / "train.yaml").write_text(to_yaml(config))
-    rows, out = tmp_path / "run/rows.jsonl", str(tmp_path / "run")
-    command = [sys.executable, "-m", "uavaccel", "train", str(tmp_path / "train.yaml"), "--out", out]
-    with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True) as program:
-        while program.poll() is None and not (rows.exists() and rows.stat().st_size):
-            time.sleep(0.1)
-        program.send_signal(signal.SIGTERM)
-        said = program.communicate()[1]
-    assert program.returncode == 130, said
-    assert said.startswith("uavaccel: interrupted; go on with: uavaccel train --resume --out"), said
-    assert checkpointed(tmp_path / "run") == len(rows.read_text().splitlines())
+    append, run = RunDirectory.append_row, tmp_path / "run"
+
+    def end_after(self: RunDirectory, row: Any, on_disk: bool = True) -> None:
+        append(self, row, on_disk)
+        signal.raise_signal(signal.SIGTERM)
+
+    monkeypatch.setattr(RunDirectory, "append_row", end_after)
+    told = said(f"train {tmp_path / 'train.yaml'} --out {run}")
+    assert told == f"uavaccel: interrupted; go on with: uavaccel train --resume --out {run}"
+    assert checkpointed(run) == len(RunDirectory(run).rows()) > 0
 
 
 def stop_after(games: int) -> Any:

@@ -12,8 +12,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from uavaccel.draw.film import FRAMES_PER_S, PANEL
-from uavaccel.draw.panels import enlarged, to_bgr
+from uavaccel.draw.film import FRAMES_PER_S, PANEL, enlarged, to_bgr
 from uavaccel.draw.style import Bgr, dvs_picture
 from uavaccel.suites.flight import film_of, flight_of
 

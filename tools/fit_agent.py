@@ -4,7 +4,7 @@
 
 The paper says nothing of Figure 9's phases in numbers, but how much faster the simulation alone was and the whole
 training: 4x and 3.6x at ClockSpeed 5, 6.4x and 5.2x at 10. What does not get faster is a share of a command's time in
-the simulation at 1x (paper_results.thinking_share), which takes what the modelled AirSim says, pictures included.
+the simulation at 1x (paper_results.THINKING_SHARE), which takes what the modelled AirSim says, pictures included.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ def agent_costs(latency: LatencyConfig) -> dict[str, float]:
     Only the sum is fitted. Of it the pictures take what v2e was measured to take, and the decision all the rest: Figure
     9 has no other phase, and a cost per gradient step would come out differently with every rhythm of learning.
     """
-    thinking_s = paper_results.thinking_share() * command_wall_s("adsc", 1.0, latency)
+    thinking_s = paper_results.THINKING_SHARE * command_wall_s("adsc", 1.0, latency)
     inference_s = round(thinking_s - PICTURES * IMAGE_PROCESSING_S, 3)
     return {"task.image_processing_s": IMAGE_PROCESSING_S, "inference_s": inference_s, "learning_s": 0.0}
 

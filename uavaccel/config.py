@@ -108,6 +108,15 @@ _YAML_WORDS = {
     "model_attributes_type": "should be a mapping",
     "dict_type": "should be a mapping",
 }
+_NAME, _NAME_OR_NONE, _DEVICE = r"^[a-z0-9_]+$", r"^[a-z0-9_]*$", r"^(cpu|mps|cuda(:[0-9]+)?)$"
+_PATTERN_WORDS = {
+    _NAME: "should be lower-case letters, digits and underscores",
+    _NAME_OR_NONE: "should be lower-case letters, digits and underscores",
+    _DEVICE: "should be cpu, mps, cuda or one of several GPUs, as cuda:1",
+}
+Name = Annotated[str, Field(pattern=_NAME)]
+NameOrNone = Annotated[str, Field(pattern=_NAME_OR_NONE)]
+Device = Annotated[str, Field(pattern=_DEVICE)]
 
 ConfigType = TypeVar("ConfigType", bound=Config)
 
@@ -260,9 +269,22 @@ def explain_value(mapping: object, error: ErrorDetails) -> str:
         return f"{inner} = {given}: should be one of {error['ctx']['expected_tags']}"
     if error["type"] == "missing":
         return f"key {key!r} is missing"
-    said = error["msg"].removeprefix("Value error, ").removeprefix("Input ")
-    wanted = _YAML_WORDS.get(error["type"], said)
+    wanted = _wanted(error)
     return f"{key} = {reprlib.repr(error['input'])}: {wanted}" if key else wanted
+
+
+def _wanted(error: ErrorDetails) -> str:
+    """Return what would be right."""
+    kind, limits = error["type"], error.get("ctx", {})
+    if kind in ("too_short", "too_long"):
+        count = limits["min_length"] if kind == "too_short" else limits["max_length"]
+        number = "one value" if count == 1 else f"{count} values"
+        return f"needs at least {number}" if kind == "too_short" else f"may have at most {number}"
+    if kind == "string_pattern_mismatch":
+        return _PATTERN_WORDS[limits["pattern"]]
+    return _YAML_WORDS.get(
+        kind, error["msg"].removeprefix("Value error, ").removeprefix("Input ").removeprefix("String ")
+    )
 
 
 def _dotted(mapping: object, error: ErrorDetails) -> str:

@@ -21,7 +21,7 @@ from pydantic import (
     model_validator,
 )
 
-from uavaccel.config import MOST_PROCESSES, Config, Cost, Count, Games, KeyTree, Lanes, Processes, Seed, validate
+from uavaccel.config import MOST_PROCESSES, Config, Cost, Count, Device, Games, Lanes, Processes, Seed, validate
 from uavaccel.envs.obstacle_lane import LaneTask, ObstacleLane
 from uavaccel.envs.simulators import Simulator, check_flyable
 from uavaccel.envs.task import Positive, Task
@@ -202,7 +202,7 @@ class LearnerConfig(Config):
     hidden: Annotated[tuple[Width, ...], Field(max_length=8)] = (256,)
     """Units of each fully connected hidden layer."""
 
-    device: Annotated[str, Field(pattern=r"^(cpu|mps|cuda(:[0-9]+)?)$")] = "cpu"
+    device: Device = "cpu"
     """PyTorch device on which the learner runs: cpu, mps, cuda or cuda:N."""
     torch_threads: Processes = 1
     """CPU threads of PyTorch; equal weights need an equal number."""
@@ -266,14 +266,14 @@ class LearnerConfig(Config):
         return self
 
     @classmethod
-    def keys_of(cls, mapping: Mapping[str, Any]) -> KeyTree:
+    def keys_of(cls, mapping: Mapping[str, Any]) -> dict[str, Any]:
         """Return its keys with those of the task and of the algorithm's options that the mapping names."""
         every = {DOUBLE_DQN: DqnOptions.keys_of({}), PPO: PPOSettings.keys_of({})}
         options = every.get(str(mapping.get("algorithm")), every[DOUBLE_DQN] | every[PPO])
         return keys_with_task(super().keys_of(mapping), mapping) | {"options": options}
 
 
-def keys_with_task(tree: KeyTree, mapping: Mapping[str, Any]) -> KeyTree:
+def keys_with_task(tree: dict[str, Any], mapping: Mapping[str, Any]) -> dict[str, Any]:
     """Return the keys of a configuration with those of the task of its `env_id`."""
     with suppress(UserError, AttributeError, ImportError, TypeError):  # which is wrong itself
         return tree | {"task": environment_class(mapping.get("env_id", LANE)).task_class.keys_of({})}

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import numpy as np
@@ -127,6 +126,7 @@ class Dp1(PathSuite[Dp1Config, Game]):
 
     name, scene = "dp1", "blocks"
     config, case, row, arrays = Dp1Config, Game, Dp1Row, RECORDED
+    grows = ("games",)
     quick: ClassVar[Mapping[str, object]] = {"games": 3, "reference_games": 3}
 
     def cases(self, config: Dp1Config) -> Iterator[Game]:
@@ -143,9 +143,6 @@ class Dp1(PathSuite[Dp1Config, Game]):
             yield Game("reference" if cell == baseline else "game", *cell, *path, game, config.path)
         for game, clock in enumerate([(1.0, config.reference_timing), (max(config.clock_speed), config.timing)]):
             yield Game("figure2", "adsc", *clock, max(config.t_move_s), 1, game, "two_forward_one_back")
-
-    def may_grow(self, folder: Path) -> tuple[str, ...]:
-        return ("games",)
 
     def fly(self, config: Dp1Config, case: Game, opened: Session) -> GameResult:
         """Fly the case's path; its wall time is from the first command's issue to the last one's return."""

@@ -170,6 +170,7 @@ class Evaluation(Suite[EvaluateConfig, Game]):
     name = "evaluate"
     config = EvaluateConfig
     row = AnyRow
+    grows = ("games",)
     complete = staticmethod(completed)
 
     def case_of(self, row: Plain) -> str:
@@ -191,9 +192,6 @@ class Evaluation(Suite[EvaluateConfig, Game]):
         timing, typical_s = config.task.timing, config.task.typical_s
         for lane in range(config.first_lane, config.first_lane + config.games):
             yield Game(case_of(lane, config.env_id == LANE), timing, typical_s, lane)
-
-    def may_grow(self, folder: Path) -> tuple[str, ...]:
-        return ("games",)
 
     @contextmanager
     def open(self, config: EvaluateConfig, timing: str, run: RunDirectory) -> Iterator[Callable[[int], GameResult]]:

@@ -15,7 +15,7 @@ import pandas as pd
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from uavaccel.config import Config, Games, Seed
+from uavaccel.config import Config, Games, Name, Seed
 from uavaccel.draw import style
 from uavaccel.draw.page import Block, Column, Heading, Picture, Table
 from uavaccel.files import Plain
@@ -30,7 +30,6 @@ from uavaccel.suites.parts import OUTCOMES, Part, Run, SuiteOfRuns, evaluate_par
 from uavaccel.suites.report import Report, Summary, method_note, table_of
 from uavaccel.suites.suite import GameResult, SimpleCase
 
-Name = Annotated[str, Field(pattern=r"^[a-z0-9_]+$")]
 Keys = dict[str, Plain]
 USUAL = "usual"  # the flight in which nothing is moved
 MOST_LINES = 7  # policies that lines in a panel keep apart
@@ -165,6 +164,7 @@ class Mediation(SuiteOfRuns[MediationConfig, PolicyCase]):
     name = "mediation"
     config = MediationConfig
     row = MediationRow
+    grows = ("seeds",)
     arrays: ClassVar = {f"*_{name}": replace(form, shape=("n",)) for name, form in OUTCOMES.items()}
 
     def check(self, config: MediationConfig) -> None:
@@ -207,9 +207,6 @@ class Mediation(SuiteOfRuns[MediationConfig, PolicyCase]):
         first = parts[0].resolve(config.seed)
         known = first[0].name != "train" or first[1].env_id == LANE
         return [first, *(part.resolve(config.seed) for part in parts[1:] if known)]
-
-    def may_grow(self, folder: Any) -> tuple[str, ...]:
-        return ("seeds",)
 
     def renders(self, config: MediationConfig) -> bool:
         return any(suite.renders(run) for suite, run in self.runs(config, next(self.policies_of(config))))

@@ -10,7 +10,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, StringConstraints
+from pydantic import Field
 
 from uavaccel import __version__
 from uavaccel.config import Config, load_yaml, validate
@@ -69,10 +69,8 @@ class PaperConfig(Experiment):
     """`suite: paper`."""
 
     suite: Literal["paper"]
-    parts: Annotated[
-        dict[Annotated[str, StringConstraints(pattern="^(dp1|dp2)-(airsim|native)$")], Part], Field(min_length=1)
-    ]
-    """Runs by name, KIND-PROFILE: dp1-airsim, dp2-native, and so on."""
+    parts: Annotated[dict[Literal["dp1-airsim", "dp1-native", "dp2-airsim", "dp2-native"], Part], Field(min_length=1)]
+    """Runs by name: suite and profile."""
     claims: str = "claims.yaml"
     """File of claims among those that ship with the experiments."""
     with_run: str | None = None
@@ -105,7 +103,7 @@ class Paper(SuiteOfRuns[PaperConfig, SimpleCase]):
             yield replace(case, typical_s=self.size(config, case)[1])
 
     def runs(self, config: PaperConfig, case: SimpleCase) -> list[Run]:
-        return [config.parts[case.id].resolve(config.seed)]
+        return [part.resolve(config.seed) for name, part in config.parts.items() if name == case.id]
 
     def status(self, rows: Sequence[Row]) -> str:
         return ""

@@ -29,7 +29,7 @@ from uavaccel.realtime.control_loop import Command, ControlLoop, LoopOptions
 from uavaccel.realtime.plant import MujocoPlant
 from uavaccel.realtime.policies import load_policy
 from uavaccel.realtime.server import begin
-from uavaccel.suites.realtime_config import DRONES, AgentBlock, EnvironmentBlock
+from uavaccel.suites.realtime import DRONES, AgentBlock, EnvironmentBlock
 from uavaccel.units import seconds_to_ns
 
 Env = gymnasium.Env[Any, Any]

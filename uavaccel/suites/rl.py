@@ -11,7 +11,6 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import product
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, NotRequired, TypeAlias
 
 import numpy as np
@@ -19,7 +18,7 @@ import pandas as pd
 from pydantic import Field, model_validator
 from typing_extensions import TypedDict
 
-from uavaccel.config import ClockSpeed, CommandName, Config, Games, Seed
+from uavaccel.config import ClockSpeed, CommandName, Config, Games, NameOrNone, Seed
 from uavaccel.draw import style
 from uavaccel.draw.page import Block as PageBlock
 from uavaccel.draw.page import Column, Heading, Picture, Table, clock_label, command_name, fill, in_words, listed
@@ -78,7 +77,7 @@ class Block(Config):
     """tcsc pauses the simulation while the program works, adsc does not; each value is flown."""
     clock_speed: ClockSpeeds
     """Simulated seconds per wall second that are asked for; each value is flown."""
-    variant: Annotated[str, Field(pattern=r"^[a-z0-9_]*$")] = ""
+    variant: NameOrNone = ""
     """Distinguishes these trainings from others of the same command and ClockSpeed; claims use those without one."""
     task: dict[str, Any] = Field(default_factory=dict)
     """Dotted keys of the task, in training and evaluation."""
@@ -205,6 +204,7 @@ class Rl(SuiteOfRuns[RlConfig, TrainingCase]):
     name = "rl"
     config = RlConfig
     row = RlRow
+    grows = ("seeds", "exact_seeds")
     arrays: ClassVar = {f"*_{name}": ArrayForm(form.kinds, ("n",)) for name, form in OUTCOMES.items() if name != "game"}
 
     def check(self, config: RlConfig) -> None:
@@ -243,9 +243,6 @@ class Rl(SuiteOfRuns[RlConfig, TrainingCase]):
 
     def games(self, config: RlConfig, case: TrainingCase) -> int:
         return case.games
-
-    def may_grow(self, folder: Path) -> tuple[str, ...]:
-        return ("seeds", "exact_seeds")
 
     def stage(self, case: TrainingCase) -> int:
         """Policies are evaluated in the exact simulator once all of them are trained."""
@@ -299,6 +296,7 @@ class Rl(SuiteOfRuns[RlConfig, TrainingCase]):
         own = where(trained, flight=0)
         groups, exacts = ([group for _, group in some.groupby(KEY, sort=False)] for some in (trained, exact))
         faster = [(group, clock) for group in groups if (clock := group.clock_speed.iloc[0]) != real_time]
+        variants = list(against_plain(own))
         return {
             "suite": "rl",
             "seed": config.seed,
@@ -319,6 +317,7 @@ class Rl(SuiteOfRuns[RlConfig, TrainingCase]):
             "as_trained": [test for group, _ in faster for test in as_trained(group, trained)],
             "exact": [side_by_side(where(own, **key_of(group)), group) for group in exacts],
             "same_weights": list(same_weights(own)),
+            **({"variants": variants} if variants else {}),
         }
 
     def title(self, report: Report) -> str:
@@ -362,6 +361,11 @@ class Rl(SuiteOfRuns[RlConfig, TrainingCase]):
         if tests := summary["as_trained"]:
             yield Heading("Flown at the ClockSpeed of the training")
             yield Table.of(tests, AS_TRAINED)
+        if variants := summary.get("variants"):
+            yield Heading("What a variant changes")
+            if len({cell["clock_speed"] for cell in variants}) > 1:
+                yield variants_figure(report, pd.DataFrame(variants))
+            yield Table.of(variants, VARIANTS)
         if exact := summary["exact"]:
             yield Heading("The same policies in the exact simulator")
             lanes, same = (sum(policy[name] for policy in exact) for name in ("lanes", "same_end"))
@@ -600,6 +604,22 @@ def as_trained(group: Flights, trained: Flights) -> Iterator[dict[str, Any]]:
         }
 
 
+def against_plain(own: Flights) -> Iterator[dict[str, Any]]:
+    """Yield the comparison, in real time, of each variant with the same seeds of the cell without one, if flown."""
+    for _, group in own[own.variant != ""].groupby(KEY, sort=False):
+        plain = where(own, **key_of(group) | {"variant": ""})
+        plain = plain[plain.seed.isin(group.seed)]
+        if len(plain):
+            difference = _compare(group, plain, "difference", same_policies=True)
+            yield {
+                **key_of(group),
+                "seeds": plain.seed.tolist(),
+                "plain": _success(plain),
+                **_success(group),
+                **difference,
+            }
+
+
 def side_by_side(kernels: Flights, exact: Flights) -> dict[str, Any]:
     """Compare the same policies on the same lanes in real time in the kernels and in the exact simulator."""
     kernels = kernels[kernels.seed.isin(exact.seed)]
@@ -696,6 +716,38 @@ def success_figure(report: Report, cells: pd.DataFrame) -> Picture:
     style.legend(figure)
     alt = f"Lines of success by ClockSpeed of the training. {report.headline()}."
     return report.figure("table1_success", figure, TABLE1, alt)
+
+
+def variants_figure(report: Report, variants: pd.DataFrame) -> Picture:
+    """Draw success over ClockSpeed without a variant in the range of the means of all variants, itself one of them."""
+    title = "Success in the range of all variants"
+    figure, [axes] = plots.panels(1, title, 3.4)
+    draw_variants(axes, variants)
+    style.legend(figure)
+    commands = listed(map(command_name, variants.command.unique()))
+    alt = f"Lines of success by ClockSpeed of the training in bands: {commands}."
+    return report.figure("variants", figure, f"{title}. {BAND}", alt)
+
+
+def draw_variants(axes: Axes, variants: pd.DataFrame) -> None:
+    """Draw a line in its band for each command of each profile and timing of `against_plain`'s cells."""
+    clocks = sorted(variants.clock_speed.unique())
+    lines = variants.groupby(["profile", "timing", "command"], sort=False)
+    for number, ((profile, timing, command), own) in enumerate(lines):
+        cells = own.groupby("clock_speed")
+        plain = pd.DataFrame(cells.plain.first().tolist())
+        ends = cells.success_ratio.agg(["min", "max"])
+        places = np.searchsorted(clocks, ends.index)
+        low, high = (
+            np.minimum(ends["min"], plain.success_ratio.values),
+            np.maximum(ends["max"], plain.success_ratio.values),
+        )
+        look: dict[str, Any] = {"color": style.COMMAND_COLOUR[command], "linestyle": ("-", "--", "-.")[number // 2 % 3]}
+        label = panel_name({"command": command, "profile": profile, "timing": timing, "variant": ""})
+        plots.band(axes, places, plain.success_ratio, low, high, label=label, **look)
+        plots.line(axes, places, plain.success_ratio, (plain.seeds_low, plain.seeds_high), **look)
+    plots.clock_axis(axes, clocks)
+    axes.set(xlabel="ClockSpeed of the training", ylabel="success in real time", ylim=(-0.03, 1.03))
 
 
 def gaps_figure(report: Report, lines: Mapping[str, pd.DataFrame]) -> Picture:
@@ -823,6 +875,12 @@ AS_TRAINED = {
     "difference of the two [95 %]": DIFFERENCE,
     "its p, over seeds": "{sign_flip_p:.2g}",
 }
+VARIANTS = {
+    **TRAINED,
+    "in real time [95 %]": over_seeds(),
+    "without the variant": over_seeds("plain"),
+    "difference, paired by seed [95 %]": DIFFERENCE,
+}
 EXACT_TOO = {
     **TRAINED,
     "the kernels, won": "{kernels[successes]}",
@@ -848,6 +906,7 @@ TRAININGS = {
     "weights (SHA-256)": "{weights_sha256}",
 }
 TABLE1 = "Table I as a picture: bars are 95 % intervals over seeds and games, of the paper's Wilson's; dots are seeds."
+BAND = "A band spans the means of all variants; bars are 95 % intervals over seeds and games without one."
 POINTS = "A point is a cell, with its 95 % interval over seeds and games; dots are seeds."
 FIGURE8 = "Figure 8. How far the evaluated policies got, seeds pooled."
 FIGURE9 = (

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Annotated, Any, Literal, NotRequired
 
 from pydantic import Field, model_validator
@@ -94,6 +93,7 @@ class Seeds(SuiteOfRuns[SeedsConfig, SeedCase]):
     config = SeedsConfig
     row = SeedRow
     unit = "trainings"
+    grows = ("seeds", "training.games")
     training = Training()
 
     def check(self, config: SeedsConfig) -> None:
@@ -109,9 +109,6 @@ class Seeds(SuiteOfRuns[SeedsConfig, SeedCase]):
 
     def runs(self, config: SeedsConfig, case: SeedCase) -> list[tuple[Training, TrainConfig]]:
         return [(self.training, config.training.model_copy(update={"seed": case.seed}))]
-
-    def may_grow(self, folder: Path) -> tuple[str, ...]:
-        return ("seeds", "training.games")
 
     def prepare(self, config: SeedsConfig, run: RunDirectory) -> None:
         """Let all trainings go on where they are to have more games."""

@@ -93,6 +93,8 @@ class Suite(ABC, Generic[ConfigType, CaseType]):
     """Number of games that a worker process takes at once; 1 where each takes minutes."""
     unit: ClassVar[str] = "games"
     """What its cases are called: another word where one is several games."""
+    grows: ClassVar[tuple[str, ...]] = ()
+    """Keys whose numbers may grow when a run is resumed, without a change to its cases."""
     quick: ClassVar[Mapping[str, object] | None] = None
     """Keys of a quick measurement on the wall clock, a shipped experiment with a single --clock, if it has one."""
 
@@ -190,8 +192,8 @@ class Suite(ABC, Generic[ConfigType, CaseType]):
         return self.serial
 
     def may_grow(self, folder: Path) -> tuple[str, ...]:
-        """Return keys whose numbers may grow when the run in `folder` is resumed, without a change to its cases."""
-        return ()
+        """Return `grows`; overridden where it depends on what the run in `folder` has."""
+        return self.grows
 
     def prepare(self, config: ConfigType, run: RunDirectory) -> None:
         """Bring the run's folder to a state from which it can be resumed; called before a run is begun or resumed."""

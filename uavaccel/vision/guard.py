@@ -31,7 +31,7 @@ class GuardSettings(Config):
 
     max_change: NotNegative = 0.10
     """Accepted change of mean brightness, as a share of the last image's."""
-    min_brightness: NotNegative = 10.0
+    min_brightness: Annotated[float, Field(ge=0.0, le=255.0)] = 10.0
     """Mean brightness, from 0 to 255, below which an image is too dark."""
     max_retries: Annotated[int, Field(ge=0, le=1000)] = 3
     """How often a rejected image is asked for again."""
