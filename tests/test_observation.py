@@ -154,7 +154,7 @@ def test_after_a_touch_there_is_no_state_beside_pictures() -> None:
     lane = {"obstacles": [{"x_m": 1.5, "y_m": 0.0, "half_side_m": 0.5}]}
     with closing(ObstacleLane(lane=lane, observation="depth", also_state=True)) as wall:
         wall.reset(seed=0)
-        seen, over = {}, False
+        seen, over = dict[str, Any](), False
         while not over:
             seen, _, over, _, info = wall.step(2)
         assert info["collision"]
