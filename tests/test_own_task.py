@@ -254,8 +254,6 @@ def test_a_file_without_one_task_is_one_line(file: str, line: str, here: Path, s
     ("def success(self, now): pass", "Post.success: returned None: must be True or False"),
     ("def fields(self, state, course): return [1, [2, 3]]", "Post.fields: must return numbers, in lists of equal"),
     ("def observation_space(self): return Box(0, 1, (3,))", "Post.fields: observations are of shape (5,), in"),
-    ("t_move_s: float = 0.4\n    def observation_space(self): return Box(0, 1, (5,))",
-     "Post.fields: observations are of shape (10,)"),
     ("def sample(self, random, options): return {'a': {1}}", "Post.sample: must return plain numbers"),
     ("def fields(self, state, course): return []", "Post.fields: returned no numbers"),
     ("def fields(self, state, course): return [1e300]", "Post.fields: returned a number that is not finite: [inf]"),
