@@ -267,6 +267,8 @@ def test_a_file_without_one_task_is_one_line(file: str, line: str, here: Path, s
     ("def info(self, now): return {'distance_m': 0 * 1e400}", "Post.info: 'distance_m' is nan: must be a finite"),
     ("def action_space(self): return 4", "Post.action_space: must return a Discrete that begins with 0, or a Box"),
     ("def action_space(self): return Discrete(4, start=1)", "Post.action_space: must return a Discrete that begins"),
+    ("def action_space(self): return Box(-1, 1, (0,))", "Post.action_space: must return a Discrete that begins with 0"),
+    ("def action_space(self): return Box(-1, 1, (2,), int)", "Post.action_space: must return a Discrete that begins"),
     ("def goal(self, action): return 4", "Post.goal: must return a goal of uavaccel.kinematics"),
     ("speed_m_s: object = float('nan')", "Post.goal: must be of finite numbers, not VelocityGoal("),
     ("def advance(self, before, now): pass", "Post.advance: returned None: must be a mapping"),

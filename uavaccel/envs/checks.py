@@ -155,8 +155,9 @@ def check_functions(task: Task) -> None:
         raise call.wrong("reward", "is missing: def reward(self, before, now), which returns a command's reward")
     actions = call("action_space")
     numbered = isinstance(actions, spaces.Discrete) and actions.start == 0
-    if not (numbered or (isinstance(actions, spaces.Box) and len(actions.shape) == 1)):
-        what = "a Discrete that begins with 0, or a Box of shape (n,)"
+    row = isinstance(actions, spaces.Box) and len(actions.shape) == 1 and actions.shape[0] > 0
+    if not (numbered or (row and np.issubdtype(actions.dtype, np.floating))):
+        what = "a Discrete that begins with 0, or a Box of floats, at least one, of shape (n,)"
         raise call.wrong("action_space", f"must return {what}, not {actions!r}")
     course = call.mapping("sample", np.random.default_rng(0), {})
     if CONDITIONS in course:
