@@ -272,7 +272,9 @@ def test_a_file_without_one_task_is_one_line(file: str, line: str, here: Path, s
     ("def goal(self, action): return 4", "Post.goal: must return a goal of uavaccel.kinematics"),
     ("speed_m_s: object = float('nan')", "Post.goal: must be of finite numbers, not VelocityGoal("),
     ("def advance(self, before, now): pass", "Post.advance: returned None: must be a mapping"),
-    ("def layout(self, course): return {'obstacles': [{'x': 1}]}", "Post.layout: lane: unknown key 'obstacles.0.x'"),
+    ("scene = 'lane'\n    def layout(self, course): return {'obstacles': [{'x': 1}]}",
+     "Post.layout: lane: unknown key 'obstacles.0.x'"),
+    ("def layout(self, course): return {'obstacles': []}", "Post.layout: a layout is of obstacles, light"),
 ])  # fmt: skip
 def test_a_function_with_a_mistake_is_named(function: str, line: str, here: Path, said: Callable[[str], str]) -> None:
     (here / "mine.py").write_text(f"{POST}\n    {function}\n")
