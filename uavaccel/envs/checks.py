@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from uavaccel.config import validate
 from uavaccel.envs.task import Task, told_of
-from uavaccel.envs.values import AT_REST, CONDITIONS, Action, Actions, Moment
+from uavaccel.envs.values import AT_REST, CONDITIONS, Action, Actions, Course, Moment
 from uavaccel.errors import UserError
 from uavaccel.kinematics import FlightGoal, Kinematics
 from uavaccel.own_code import errors_named, files_of
@@ -127,16 +127,25 @@ class Functions:
 
     def __init__(self, task: Task) -> None:
         self._task, self._files = task, files_of(type(task))
+        self._course: Course = {}
+        self._text = "{}"
+
+    def watch(self, course: Course) -> None:
+        """Refuse calls that change a course. Raises TypeError or ValueError unless it is one of JSON's values."""
+        self._course, self._text = course, json.dumps(course)
 
     def __call__(self, name: str, *arguments: object) -> Any:
         try:
             with errors_named(self._files):
-                return getattr(self._task, name)(*arguments)
+                returned = getattr(self._task, name)(*arguments)
         except UserError as error:
             named = str(error).startswith(tuple(map(str, self._files)))
             raise error if named else self.wrong(name, str(error)) from error
         except Exception as error:  # of the call itself, as for a wrong number of arguments
             raise self.wrong(name, f"{type(error).__name__}: {error}") from error
+        if json.dumps(self._course, default=str) != self._text:
+            raise self.wrong(name, "changes the course that it is given; only advance does, by returning another")
+        return returned
 
     def mapping(self, name: str, *arguments: object) -> Mapping[str, Any]:
         if not isinstance(returned := self(name, *arguments), Mapping):
@@ -163,7 +172,7 @@ def check_functions(task: Task) -> None:
     if CONDITIONS in course:
         raise call.wrong("sample", f"{CONDITIONS!r} are those of sample_conditions: name yours otherwise")
     try:
-        json.dumps(course)
+        call.watch(course)
     except (TypeError, ValueError) as error:
         raise call.wrong("sample", f"must return plain numbers, and lists and mappings of them: {error}") from error
     call("lane_layout", course)
