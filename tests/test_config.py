@@ -106,6 +106,15 @@ def test_a_default_that_does_not_fit_is_named(default: object, line: str) -> Non
         validate(made, {}, source="my.yaml")
 
 
+@pytest.mark.parametrize("kind", [int, float, Annotated[float, Field(ge=-1)]])
+def test_a_number_that_is_named_again_keeps_its_limits_unless_it_has_its_own(kind: object) -> None:
+    made: type[Camera] = type("Again", (Camera,), {"__annotations__": {"rate_hz": kind}, "rate_hz": 5})
+    assert validate(made, {}, "my.yaml").rate_hz == 5
+    own = "greater than 0" if isinstance(kind, type) else "greater than or equal to -1"
+    with pytest.raises(UserError, match=f"^my.yaml: rate_hz = -2: should be {own}$"):
+        validate(made, {"rate_hz": -2}, "my.yaml")
+
+
 # --- YAML ---------------------------------------------------------------------------------------------------
 
 

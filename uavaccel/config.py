@@ -87,6 +87,18 @@ class Config(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, validate_default=True)
 
     @classmethod
+    def __pydantic_init_subclass__(cls, **kwargs: Any) -> None:
+        """Keep a number's limits where a class names it again, with another default, by its bare type."""
+        found = False
+        for base in (each for each in cls.__bases__ if issubclass(each, Config)):
+            for name, before in base.model_fields.items():
+                now = cls.model_fields.get(name, before)
+                if before.metadata and not now.metadata and {now.annotation, before.annotation} <= {int, float}:
+                    now.metadata, found = [*before.metadata], True
+        if found:
+            cls.model_rebuild(force=True)
+
+    @classmethod
     def __get_pydantic_json_schema__(cls, core_schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
         made = handler(core_schema)
         properties = handler.resolve_ref_schema(made).get("properties", {})
