@@ -88,13 +88,14 @@ class Config(BaseModel):
 
     @classmethod
     def __pydantic_init_subclass__(cls, **kwargs: Any) -> None:
-        """Keep a number's limits where a class names it again, with another default, by its bare type."""
+        """Keep a key's words and limits where a class names it again, with another default, by a bare type."""
         found = False
         for base in (each for each in cls.__bases__ if issubclass(each, Config)):
             for name, before in base.model_fields.items():
                 now = cls.model_fields.get(name, before)
-                if before.metadata and not now.metadata and {now.annotation, before.annotation} <= {int, float}:
-                    now.metadata, found = [*before.metadata], True
+                bare = isinstance(now.annotation, type) and not (now.metadata or issubclass(now.annotation, Config))
+                if bare and (now.annotation, []) != (before.annotation, before.metadata):
+                    now.annotation, now.metadata, found = before.annotation, [*before.metadata], True
         if found:
             cls.model_rebuild(force=True)
 
