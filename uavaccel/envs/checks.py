@@ -175,6 +175,7 @@ def check_functions(task: Task) -> None:
         call.watch(course)
     except (TypeError, ValueError) as error:
         raise call.wrong("sample", f"must return plain numbers, and lists and mappings of them: {error}") from error
+    _check_conditions(call)
     call("lane_layout", course)
     state = replace(AT_REST, position_m=(0.0, 0.0, -task.altitude_m))
     _check_features(task, call, state, course)
@@ -198,6 +199,15 @@ def check_functions(task: Task) -> None:
             raise call.wrong(name, f"returned {ended!r}: must be True or False")
     check_reward(task, call("reward", begun, now))
     _check_info(task, call, now)
+
+
+def _check_conditions(call: Functions) -> None:
+    conditions = call.mapping("sample_conditions", np.random.default_rng(0), 0)
+    for name, value in conditions.items():  # columns of a run's rows
+        if isinstance(value, bool) or not isinstance(value, Real) or not math.isfinite(value):
+            raise call.wrong("sample_conditions", f"{name!r} is {value!r}: must be a finite number")
+    if conditions and not isinstance(under := call("with_conditions", conditions), Task):
+        raise call.wrong("with_conditions", f"returned {under!r}: must be a task, as self.model_copy(update=...) is")
 
 
 def _check_info(task: Task, call: Functions, now: Moment) -> None:
