@@ -323,7 +323,9 @@ def test_a_start_where_nothing_flies_is_one_line(
     here: Path, said: Callable[[str], str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     fly_here(monkeypatch.setattr)
-    here.joinpath("post.py").write_text(f"{POST}\n    altitude_m: float = 1e5\n")
+    high = "def sample_conditions(self, random, games): return {'altitude_m': 1e5}"
+    under = "def with_conditions(self, conditions): return self.model_copy(update=conditions)"
+    here.joinpath("post.py").write_text(f"{POST}\n    {high}\n    {under}\n")
     error = said(f"train {yaml_of(here, 'Post', 'mujoco')} --out run")
     assert error.endswith(
         "post.py: Post.altitude_m: position: NED z has to be from -19878 (thin air) to 0 m (the ground), not -100000"
