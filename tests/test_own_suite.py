@@ -282,6 +282,8 @@ class Wrong(Own):
     ("flown = lambda self, case: GameResult({'value': object()})", "its row is no JSON"),
     ("flown = lambda self, case: GameResult({'case': 'c'})", "of no other case"),
     ("flown = lambda self, case: GameResult([1])", "its row has to be a mapping"),
+    ("flown = lambda self, case: GameResult({}, {'a': [[1], [1, 2]]})", "its arrays have to be a mapping of numbers"),
+    ("flown = lambda self, case: GameResult({}, [1])", "its arrays have to be a mapping of numbers"),
 ])  # fmt: skip
 def test_a_mistake_in_one_is_one_line(line: str, reason: str, here: Path, said: Callable[[str], str]) -> None:
     (here / "wrong_suites.py").write_text(f"{WRONG}    {line}\n")

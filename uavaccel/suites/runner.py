@@ -18,6 +18,8 @@ from functools import partial
 from itertools import groupby, islice
 from pathlib import Path
 
+import numpy as np
+
 from uavaccel.config import MOST_GAMES, MOST_PROCESSES
 from uavaccel.errors import UsageError, UserError
 from uavaccel.files import is_file_name, to_json
@@ -212,7 +214,16 @@ def fly_case(suite: AnySuite, config: Experiment, case: Case, opened: Opened) ->
             to_json({"row": game.row, "host": game.host})
         except (TypeError, ValueError) as error:
             raise UserError(f"{where}: its row is no JSON: {error}") from None
+        if not isinstance(game.arrays, Mapping) or not all(map(_is_array, game.arrays.values())):
+            raise UserError(f"{where}: its arrays have to be a mapping of numbers, in rows of equal length")
     return replace(game, host={**host, **game.host})
+
+
+def _is_array(value: object) -> bool:
+    try:
+        return not np.asarray(value).dtype.hasobject
+    except ValueError:  # rows of different lengths
+        return False
 
 
 # --- engines --------------------------------------------------------------------------------------------------------
