@@ -22,6 +22,7 @@ from xdist.remote import Producer
 from xdist.scheduler import LoadScopeScheduling
 
 from tests.scenes import Scene
+from tests.scripts import Folder
 from uavaccel import own_code
 from uavaccel.cli import main as cli
 from uavaccel.errors import UserError
@@ -69,6 +70,11 @@ def signals_as_before() -> Iterator[None]:
     yield
     for kind, handler in before.items():
         signal.signal(kind, handler)
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> Folder:
+    return Folder(tmp_path, monkeypatch, capfd)
 
 
 @pytest.fixture

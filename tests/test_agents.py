@@ -6,7 +6,6 @@ import json
 import re
 import zipfile
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import gymnasium
@@ -25,6 +24,7 @@ from uavaccel.cli.experiments import evaluate_agent, sweep_agent
 from uavaccel.cli.main import app
 from uavaccel.envs.hover import HoverTask
 from uavaccel.envs.obstacle_lane import LaneTask
+from uavaccel.envs.task import Task
 from uavaccel.errors import UserError
 from uavaccel.own_code import trusting
 from uavaccel.realtime.policy_files import OnnxFile
@@ -63,31 +63,25 @@ class Trap:
 # --- stable-baselines3 ------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("algorithm", ["PPO", "A2C", "SAC", "TD3", "DDPG"])
-def test_a_model_of_stable_baselines3_acts_as_it_does_there(algorithm: str) -> None:
-    model = getattr(sb3, algorithm)(
-        "MlpPolicy", gymnasium.make("uavaccel/Hover-v0"), policy_kwargs=dict(SMALL), device="cpu"
-    )
+@pytest.mark.parametrize(
+    ("algorithm", "policy", "task"),
+    [
+        *((algorithm, "MlpPolicy", HoverTask()) for algorithm in ("PPO", "SAC", "TD3")),
+        ("DQN", "MlpPolicy", LaneTask(observation="state")),
+        ("DQN", "CnnPolicy", LaneTask()),
+    ],
+    ids=lambda each: each if isinstance(each, str) else "",
+)
+def test_a_model_of_stable_baselines3_acts_as_it_does_there(algorithm: str, policy: str, task: Task) -> None:
+    name, keys = ("ObstacleLane", {"buffer_size": 10}) if algorithm == "DQN" else ("Hover", {})
+    environment = gymnasium.make(f"uavaccel/{name}-v0", observation=task.observation)
+    model = getattr(sb3, algorithm)(policy, environment, policy_kwargs=dict(SMALL), device="cpu", **keys)
     model.save("model.zip")
-    seen = np.random.default_rng(0).normal(size=(20, 13)).astype(np.float32)
-    agent = make_agent("model.zip", HoverTask())
+    seen = np.stack([task.observation_space().sample() for _ in range(5)])
+    agent = make_agent("model.zip", task)
     assert isinstance(agent, BatchAgent)
     np.testing.assert_array_equal(agent.act_on(seen), model.predict(seen, deterministic=True)[0])
     np.testing.assert_array_equal(agent.act(seen[3], {}), model.predict(seen[3], deterministic=True)[0])
-
-
-@pytest.mark.parametrize(("policy", "kind"), [("MlpPolicy", "state"), ("CnnPolicy", "dvs")])
-def test_a_dqn_of_the_lane_acts_as_it_does_there(policy: str, kind: str) -> None:
-    task = LaneTask(observation=kind)
-    spaces = SimpleNamespace(observation_space=task.observation_space(), action_space=task.action_space())
-    environment: Any = gymnasium.make("uavaccel/ObstacleLane-v0", observation=kind)
-    model = sb3.DQN(policy, environment, buffer_size=10, device="cpu")
-    model.save("model.zip")
-    seen = np.stack([spaces.observation_space.sample() for _ in range(5)])
-    agent = make_agent("model.zip", task)
-    assert agent.act(seen[0], {}) == model.predict(seen[0], deterministic=True)[0]
-    assert isinstance(agent, BatchAgent)
-    np.testing.assert_array_equal(agent.act_on(seen), model.predict(seen, deterministic=True)[0])
 
 
 def hovering(**keywords: Any) -> None:

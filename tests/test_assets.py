@@ -200,12 +200,14 @@ def test_clients_change_the_scenery_and_find_the_same_objects() -> None:
     assert (forest[3] != plain[3]).mean() > 0.9
 
 
-def test_sceneries_that_there_are_not_are_refused() -> None:
+def test_sceneries_and_lanes_that_there_are_not_are_refused() -> None:
     with pytest.raises(UserError, match=r"difficulty\.scenery.*'plain' or 'forest'"):
         ObstacleLane(difficulty={"scenery": "jungle"})
     with pytest.raises(UserError, match=r"lane.*scenery"):
         layout_from({"obstacles": [], "scenery": "jungle"}, "lane")
     with pytest.raises(UserError, match="scenery = forest: the scene blocks has none of that name"):
         World("blocks", NATIVE).set_lane(sample_layout(0, Difficulty(scenery="forest")))
+    with pytest.raises(UserError, match="the scene is no lane"):
+        World("blocks", NATIVE).set_lane(layout_from({"obstacles": []}, "lane"))
     own = LaneTask(lane={"obstacles": [], "scenery": "forest"})
     assert own.scenery == own.wire_lane(0)["scenery"] == "forest"

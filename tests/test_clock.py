@@ -151,6 +151,7 @@ def east(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 def test_another_clocks_time_is_told_in_utc_and_where_the_machine_is() -> None:
     slept: list[float] = []
     module = time_module(lambda: NOW_NS, slept.append)
+    assert module.clock() == module.time()
     for name in ("time", "monotonic", "perf_counter", "process_time", "thread_time"):
         assert (getattr(module, name)(), getattr(module, f"{name}_ns")()) == (79_200.5, NOW_NS)
     assert (module.clock_gettime(1), module.clock_gettime_ns(1)) == (79_200.5, NOW_NS)

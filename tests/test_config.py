@@ -106,6 +106,24 @@ def test_a_default_that_does_not_fit_is_named(default: object, line: str) -> Non
         validate(made, {}, source="my.yaml")
 
 
+@pytest.mark.parametrize(("key", "kind", "value", "wrong", "line"), [
+    ("rate_hz", int, 5, -2, "should be greater than 0"),
+    ("rate_hz", Annotated[float, Field(ge=-1)], 5, -2, "should be greater than or equal to -1"),
+    ("command", str, "adsc", "tsc", "should be 'adsc' or 'tcsc'"),
+    ("command", Literal["adsc"], "adsc", "tcsc", "should be 'adsc'"),
+    ("games", float, 4, 2.5, "should be a valid integer"),
+])  # fmt: skip
+def test_a_key_that_is_named_again_by_a_bare_type_keeps_its_own(
+    key: str, kind: object, value: object, wrong: object, line: str
+) -> None:
+    base = Camera if key in Camera.model_fields else Flight
+    made: type[Config] = type("Again", (base,), {"__annotations__": {key: kind}, key: value})
+    rest = {"games": 2} if key == "command" else {}
+    assert getattr(validate(made, rest, "my.yaml"), key) == value
+    with pytest.raises(UserError, match=f"^my.yaml: {key} = {wrong!r}: {line}$"):
+        validate(made, {**rest, key: wrong}, "my.yaml")
+
+
 # --- YAML ---------------------------------------------------------------------------------------------------
 
 

@@ -76,29 +76,6 @@ def test_a_quotient_that_is_rounded_up_counts_one_less() -> None:
     assert kernels.count_double_pixel(change, 0.0, threshold, threshold) == 10
 
 
-@given(small_frames, st.sampled_from(["clean", "constructor"]), st.floats(1e-4, 1.0), st.integers(0, 99))
-def test_constant_brightness_makes_no_events(frame: NDArray, preset: str, dt_s: float, seed: int) -> None:
-    sensor = dvs.make_sensor(replace(dvs.PRESETS[preset], leak_rate_hz=0.0), frame.shape, seed)
-    state = dvs.init_state(sensor, frame)
-    for i in range(1, 4):
-        state, on, off = dvs.step(sensor, state, frame, i * dt_s)
-        assert not on.any()
-        assert not off.any()
-
-
-@given(st.integers(0, 255), st.lists(st.integers(0, 255), min_size=1, max_size=20), st.integers(0, 99))
-def test_remainder_is_kept_so_that_counts_sum_to_the_whole_change(
-    first: int, intensities: list[int], seed: int
-) -> None:
-    sensor = dvs.make_sensor(CLEAN, (1, 1), seed)
-    state, level = dvs.init_state(sensor, np.full((1, 1), first, np.uint8)), 0.0
-    for i, intensity in enumerate(intensities):
-        state, on, off = dvs.step(sensor, state, np.full((1, 1), intensity, np.uint8), 0.1 * (i + 1))
-        level += (on * sensor.positive_threshold - off * sensor.negative_threshold).item()
-        change = float(dvs.LIN_LOG[intensity]) - float(dvs.LIN_LOG[first])
-        assert -sensor.negative_threshold.item() - 1e-4 < change - level < sensor.positive_threshold.item() + 1e-4
-
-
 @given(small_frames, st.integers(0, 99), st.sampled_from(["clean", "noisy", "command_line"]))
 def test_counts_do_not_depend_on_the_layout_of_the_frame(frame: NDArray, seed: int, preset: str) -> None:
     sensor = dvs.make_sensor(dvs.PRESETS[preset], frame.shape, seed)

@@ -167,6 +167,19 @@ def test_settings_beside_the_script_come_before_those_of_the_home(
         assert found_settings(script) == own
 
 
+def test_settings_that_are_found_are_named_and_flown(
+    asked: FlyRequest, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    flights = Flights((FlightResult(0, NOWHERE), 0.0))
+    monkeypatch.setattr(command, "fly", flights.fly)
+    (beside := asked.flight.script.parent / "settings.json").write_text(json.dumps({"ClockSpeed": 3}))
+    assert fly_script(replace(asked, find_settings=True)) == 0
+    named = f"settings: {beside} (--no-settings flies without, --settings with others)"
+    assert capsys.readouterr().out.splitlines()[0] == named
+    [(flown, _)] = flights.asked
+    assert (flown.settings, flown.settings_found) == (beside, True)
+
+
 def test_a_request_of_a_flight_travels_whole(tmp_path: Path) -> None:
     options = FlightOptions(
         Path("a.py"), ("-x", "1"), tmp_path, "lockstep", "airsim", "lane", 2.5, Path("s.json"), 0.25, 7, 9.5,
@@ -198,11 +211,19 @@ def test_a_flight_is_told_by_its_own_files_alone(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Whatever an earlier one in the same folder has left."""
+    options = FlightOptions(tmp_path / "script.py", (), tmp_path)
     for name in (SUMMARY, DIFFERENCE):
         (tmp_path / name).write_text("{}")
     ended = SimpleNamespace(pid=0, poll=lambda: 0, kill=lambda: None)
     monkeypatch.setattr(command, "start_python", lambda *_, **__: nullcontext(ended))
-    assert command.fly(FlightOptions(tmp_path / "script.py", (), tmp_path)) == FlightResult(0, None)
+    assert command.fly(options) == FlightResult(0, None)
+
+    def differ() -> int:
+        (tmp_path / DIFFERENCE).write_text("at call 1")
+        return 1
+
+    ended.poll = differ
+    assert command.fly(options) == FlightResult(1, None, differs=True)
     assert "the script ended its process by itself; its flight was not kept" in capsys.readouterr().err
 
 
@@ -213,6 +234,18 @@ def test_a_process_ended_by_a_signal_has_a_shells_status_and_a_line(capsys: pyte
     killed, crashed = capsys.readouterr().err.splitlines()
     assert killed == "uavaccel: error: the script's process was ended by SIGKILL"
     assert crashed.endswith("was ended by SIGSEGV")
+
+
+def test_a_process_that_stays_stopped_is_killed_once(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    killed, polls, patience = list[bool](), iter([None, None, None, -9]), iter([False, True, True])
+    monkeypatch.setattr(command, "Patience", lambda _: SimpleNamespace(is_over=patience.__next__))
+    process: Any = SimpleNamespace(poll=polls.__next__, wait=lambda seconds: None, kill=lambda: killed.append(True))
+    assert _wait(process, None) == 137
+    assert killed == [True]
+    said = "uavaccel: error: the script's process was stopped, and killed since it did not go on\n"
+    assert capsys.readouterr().err == said
 
 
 class Waited:

@@ -11,22 +11,19 @@ import sys
 import sysconfig
 import threading
 from contextlib import nullcontext
-from functools import partial
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
 from typing import Any, cast
 
 import numpy as np
 import pytest
-from gymnasium import spaces
 
 from uavaccel.clock import VirtualClock
+from uavaccel.errors import UserError
 from uavaccel.fly import environment, process, simulated, wall
-from uavaccel.fly.environment import supply_windows
-from uavaccel.fly.keys import Hooks, Keyboard
 from uavaccel.fly.log import MESSAGES, DifferenceError, MessageLog
 from uavaccel.fly.modules import Patches, importing, named_module, of_a_script
-from uavaccel.fly.options import SUMMARY, FlightOptions
+from uavaccel.fly.options import DIFFERENCE, SUMMARY, FlightOptions
 from uavaccel.fly.script import FlightOver, ScriptResult, run_script, unraisable
 from uavaccel.wire.rpc import Future, RpcError
 
@@ -74,7 +71,7 @@ def fly(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Any:
     return flown
 
 
-@pytest.mark.parametrize("seed", [0, 7, None])
+@pytest.mark.parametrize("seed", [0, None])
 def test_a_seed_is_that_of_both_global_generators_and_nought_is_one(fly: Any, seed: int | None) -> None:
     before = random.getstate(), np.random.get_state()  # noqa: NPY002
     random.seed(3)
@@ -88,27 +85,46 @@ def test_a_seed_is_that_of_both_global_generators_and_nought_is_one(fly: Any, se
     assert flight.drawn == (random.Random(given).random(), np.random.RandomState(given).random_sample())
 
 
-def test_a_seed_is_that_of_generators_that_are_made_without_one() -> None:
-    import torch
+def test_a_seed_is_that_of_pytorch_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    before, seeds = (random.getstate(), np.random.get_state()), list[int]()  # noqa: NPY002
+    monkeypatch.setitem(sys.modules, "torch", named_module("torch", manual_seed=seeds.append))
+    with Patches() as patches:
+        process._seed(7, patches)
+    random.setstate(before[0])
+    np.random.set_state(before[1])  # noqa: NPY002
+    assert seeds == [7]
 
-    def drawn() -> list[float]:
-        with Patches() as patches:
-            process._seed(7, patches)
-            own = [float(np.random.default_rng().random()), float(np.random.default_rng(3).random())]
-            own += [random.Random().random(), np.random.RandomState().rand()]
-            space = spaces.Box(0.0, 1.0, (2,), np.float64)
-            return [*own, *space.sample().tolist(), float(torch.rand(1)), random.random()]
 
-    kept = random.getstate(), np.random.get_state(), torch.get_rng_state()  # noqa: NPY002
-    try:
-        first, second = drawn(), drawn()
-    finally:
-        random.setstate(kept[0])
-        np.random.set_state(kept[1])  # noqa: NPY002
-        torch.set_rng_state(kept[2])
-    assert first == second
-    assert first[1] == np.random.default_rng(3).random()
-    assert len({*first}) == len(first)
+@pytest.mark.parametrize(
+    ("end", "seed", "status", "said"),
+    [
+        (DifferenceError("they differ"), 3, 1, "they differ\n"),
+        (DifferenceError("they differ"), None, 1, f"they differ{process.HINT}\n"),
+        (UserError("flight.json: no room"), None, 1, "error: flight.json: no room\n"),
+        (KeyboardInterrupt(), None, 130, "interrupted\n"),
+    ],
+)
+def test_a_flight_that_cannot_be_kept_ends_its_process_with_a_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str],
+    end: BaseException, seed: int | None, status: int, said: str,
+) -> None:  # fmt: skip
+    """A difference is left in a file for the process that asked for it."""
+    options = FlightOptions(tmp_path / "script.py", (), tmp_path, seed=seed)
+
+    def fly(asked: FlightOptions) -> int:
+        assert asked == options
+        raise end
+
+    monkeypatch.setattr(process, "fly", fly)
+    monkeypatch.setattr(process, "end_with_parent", lambda parent, last: None)
+    monkeypatch.setattr(sys, "argv", ["process", options.to_json(), "1"])
+    monkeypatch.setattr(sys, "unraisablehook", sys.unraisablehook)
+    with pytest.raises(SystemExit) as ended:
+        process.main()
+    assert ended.value.code == status
+    assert capfd.readouterr().err == f"uavaccel: {said}"
+    left = [file.read_text() for file in tmp_path.iterdir() if file.name == DIFFERENCE]
+    assert left == ([said] if isinstance(end, DifferenceError) else [])
 
 
 def test_the_option_for_clock_speed_precedes_the_settings(fly: Any, tmp_path: Path) -> None:
@@ -414,35 +430,3 @@ def test_a_script_is_given_what_stands_in_for_a_library_and_not_for_its_own_modu
         assert __import__("decoder", own, None, ("x",), 1).__name__ == "json.decoder", "from .decoder import x"
         with pytest.raises(ImportError):
             __import__("decoder", {"__file__": threading.__file__})
-
-
-def test_a_window_waits_in_milliseconds_and_a_hook_hears_of_every_key() -> None:
-    cv2, passed_s, heard = ModuleType("cv2"), [0.0], list[str]()
-    with Patches() as patches:
-        supply_windows(patches, cv2, Keyboard(passed_s.append, lambda: sum(passed_s)))
-        assert cv2.waitKey(30) == -1
-    assert sum(passed_s) == pytest.approx(0.03)
-
-    class Later:
-        """A thread that runs when somebody waits for it."""
-
-        def __init__(self, target: Any, daemon: bool) -> None:
-            self.start, self.join = lambda: None, target
-
-    thread: Any = Later
-    hooks = Hooks(Keyboard(passed_s.append, lambda: sum(passed_s), ["a", "esc"], thread))
-
-    def hear(who: str, event: Any) -> None:
-        heard.append(f"{who}: {event.name} {event.event_type}")
-
-    for name in ("hook", "on_press", "on_release"):
-        getattr(hooks, name)(partial(hear, name))
-    for name in ("on_press_key", "on_release_key"):
-        getattr(hooks, name)("escape", partial(hear, name))
-    hooks.add_hotkey("a", lambda *words: heard.append(" ".join(words)), ("hot", "key"))
-    hooks.wait()
-    assert heard == [
-        *("hook: a down", "on_press: a down", "hot key", "hook: a up", "on_release: a up"),
-        *("hook: esc down", "on_press: esc down", "on_press_key: esc down"),
-        *("hook: esc up", "on_release: esc up", "on_release_key: esc up"),
-    ]

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from tests.compiling import Alone, kept
 from tests.opengl import needs_opengl
-from tests.scenes import Scene
+from tests.scenes import Pose, Scene
 from uavaccel.envs.obstacle_lane import ObstacleLane
 from uavaccel.errors import UserError
 from uavaccel.kernels import cpu as _cpu
@@ -64,19 +64,6 @@ def camera(lane_scene: Scene) -> Iterator[Camera]:
         yield camera
 
 
-def attitude(degrees: Floats) -> Floats:
-    """The quaternion wxyz of roll, pitch and yaw."""
-    (cr, cp, cy), (sr, sp, sy) = np.cos(np.radians(degrees) / 2), np.sin(np.radians(degrees) / 2)
-    return np.array(
-        [
-            cr * cp * cy + sr * sp * sy,
-            sr * cp * cy - cr * sp * sy,
-            cr * sp * cy + sr * cp * sy,
-            cr * cp * sy - sr * sp * cy,
-        ]
-    )
-
-
 def drawn_views(count: int, seed: int) -> list[View]:
     """Training and evaluation lanes in all light, posts and cylinders of many sizes, poses all over them."""
     rng, views = np.random.default_rng(seed), []
@@ -88,8 +75,9 @@ def drawn_views(count: int, seed: int) -> list[View]:
             layout = replace(layout, round=rng.random(len(layout)) < 0.6, half_width_m=sizes)
         low = number % 3 < 2
         place = [rng.uniform(-2, 155), rng.uniform(-4.7, 4.7), -rng.uniform(0.8, 3.0 if low else 25.0)]
-        tilt, yaw = (15.0, 8.0) if low else (40.0, 180.0)
-        views.append((layout, np.array(place), attitude(rng.uniform(-1, 1, 3) * (tilt, tilt, yaw))))
+        tilt, turn = (15.0, 8.0) if low else (40.0, 180.0)
+        roll, pitch, yaw = rng.uniform(-1, 1, 3) * (tilt, tilt, turn)
+        views.append((layout, np.array(place), Pose((0.0, 0.0, 0.0), (roll, pitch, yaw)).quaternion()))
     return views
 
 
@@ -302,19 +290,6 @@ def see_both(levels: Any, camera: Any, sensor: Any, plain: Any, full: Any) -> tu
                 y, x = row + part // 2, column + part % 2
                 slow += events.update_pixel(levels[y, x], camera, sensor, full, none, zero, y, x, (0, 0.0, 0.1), ())
     return quick, slow
-
-
-def test_a_pixel_rises_by_one_threshold_and_falls_by_the_other() -> None:
-    """Of 0.25 and 0.5 without a spread, from 50 to 100, by 0.693, and back: two whole steps up, one down."""
-    parameters, shape = DvsParameters(0.25, 0.5, threshold_sigma=0.0), (at.ROWS, at.COLUMNS)
-    sensor, row = events.sensor_of(sample_pixels(parameters, shape, 3)), events.camera_row(parameters, 0.0)
-    full = np.full(shape, np.log(50), np.float32)
-    plain = full[None].copy()
-    for level, events_each, after in ((100, 2, 0.5), (50, -1, 0.0), (50, 0, 0.0)):
-        both = see_both(np.full(shape, level), tuple(row), sensor, plain, full)
-        assert both == (events_each * full.size, events_each * full.size)
-        np.testing.assert_allclose(full, np.log(50) + after, atol=1e-6)
-        np.testing.assert_array_equal(plain[0], full)
 
 
 @pytest.mark.parametrize(("sigma", "negative"), [(0.0, 0.2), (0.0, 0.004), (0.05, 0.2), (0.05, 0.3)])

@@ -111,15 +111,6 @@ def test_light_sun_and_wind_are_drawn_evenly() -> None:
     assert_uniform(np.arctan2(east, north), -np.pi, np.pi)
 
 
-def test_what_is_drawn_by_default() -> None:
-    """Calm, between 0.7 of daylight and all of it, 14 rows of two posts from 10 m on."""
-    layouts = drawn(Difficulty(), 500)
-    assert {layout.wind_m_s for layout in layouts} == {(0.0, 0.0, 0.0)}
-    assert_uniform(np.array([layout.light for layout in layouts]), 0.7, 1.0)
-    np.testing.assert_array_equal(layouts[0].x_m, np.repeat(np.arange(10.0, 141.0, 10.0), 2))
-    assert (layouts[0].half_width_m == 0.4).all()
-
-
 @pytest.mark.parametrize(("varied", "share"), [(1.0, 1.0), (0.5, 0.5), (0.0, 0.0)])
 def test_a_share_of_the_textures_is_drawn_evenly(varied: float, share: float) -> None:
     layouts = drawn(Difficulty(texture_variation=varied))

@@ -116,22 +116,6 @@ def test_a_drone_that_flies_at_a_pillar_collides_with_it_by_name() -> None:
     env.close()
 
 
-def test_a_gap_is_kept_to_what_stands_and_not_to_what_was_left_out() -> None:
-    """One after the other, each with a circle around it, seen from above."""
-    goal_m, left_out = (30.0, 2.0, -2.0), 0
-    for seed in range(5):
-        drawn, kept = (sample_world(seed, Clutter(shapes=128, gap_m=gap_m), goal_m) for gap_m in (0.0, 1.0))
-        half_m, stand = drawn.rows[:, [at.HALF_X, at.HALF_Y]], list[int]()
-        reach_m = np.where(drawn.rows[:, at.KIND] == at.BOX, np.hypot(*half_m.T), half_m.max(axis=1))
-        for number in np.flatnonzero(drawn.standing).tolist():
-            apart_m = np.hypot(*(drawn.rows[stand, at.X : at.Z] - drawn.rows[number, at.X : at.Z]).T)
-            if (apart_m >= reach_m[stand] + reach_m[number] + 1.0).all():
-                stand.append(number)
-        assert np.flatnonzero(kept.standing).tolist() == stand
-        left_out += int(drawn.standing.sum()) - len(stand)
-    assert left_out > 50
-
-
 @pytest.mark.opengl
 @pytest.mark.parametrize("kind", ["depth", "colour", "dvs"])
 @pytest.mark.parametrize(("size", "shape"), [((64, 36), (36, 64)), ((80, 40), (40, 80)), ((256, 144), (36, 64))])

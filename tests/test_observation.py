@@ -150,17 +150,11 @@ def test_pictures_and_state_are_those_of_either_alone() -> None:
 
 
 @needs_opengl
-def test_the_state_is_of_the_next_decision_none_after_a_touch() -> None:
-    """Where the goal is as seen from the end of the command."""
-    with closing(Navigate(**SMALL, also_state=True)) as env:
-        env.reset(seed=0)
-        seen, _, _, _, info = env.step(AHEAD)
-        way_m = np.subtract(info["goal_m"], info["position_m"])
-        np.testing.assert_allclose(seen["state"][:3], way_m / (np.linalg.norm(way_m) + 1e-3), atol=1e-5)
+def test_after_a_touch_there_is_no_state_beside_pictures() -> None:
     lane = {"obstacles": [{"x_m": 1.5, "y_m": 0.0, "half_side_m": 0.5}]}
     with closing(ObstacleLane(lane=lane, observation="depth", also_state=True)) as wall:
         wall.reset(seed=0)
-        seen, over = {}, False
+        seen, over = dict[str, Any](), False
         while not over:
             seen, _, over, _, info = wall.step(2)
         assert info["collision"]

@@ -283,13 +283,13 @@ class Wrong(Own):
     ("flown = lambda self, case: GameResult({'case': 'c'})", "of no other case"),
     ("flown = lambda self, case: GameResult([1])", "its row has to be a mapping"),
     ("flown = lambda self, case: GameResult({1: 2})", "its row has 1 for a name"),
-    ("flown = lambda self, case: GameResult({}, {'a': [[1], [1, 2]]})", "its array 'a' is none"),
-    ("flown = lambda self, case: GameResult({}, {'a': [{}]})", "its array 'a' is none"),
     ("cases = lambda self, config: None", "own: cases returned a NoneType"),
     ("cases = lambda self, config: [{'id': 'a'}]", "own: cases has a dict without id, timing, simulated_s"),
     ("open = lambda self, *_: 3; flown = lambda self, case: GameResult({})", "own: open returned a int"),
     ("flown = lambda self, case: GameResult({}); summary = lambda self, report: 1", "summary returned a int"),
     ("flown = lambda self, case: GameResult({}); page = lambda self, report: 1 / 0", "Wrong.<lambda>: ZeroDivision"),
+    ("flown = lambda self, case: GameResult({}, {'a': [[1], [1, 2]]})", "its arrays have to be a mapping of numbers"),
+    ("flown = lambda self, case: GameResult({}, [1])", "its arrays have to be a mapping of numbers"),
 ])  # fmt: skip
 def test_a_mistake_in_one_is_one_line(line: str, reason: str, here: Path, said: Callable[[str], str]) -> None:
     (here / "wrong_suites.py").write_text(f"{WRONG}    {line}\n")

@@ -254,8 +254,6 @@ def test_a_file_without_one_task_is_one_line(file: str, line: str, here: Path, s
     ("def success(self, now): pass", "Post.success: returned None: must be True or False"),
     ("def fields(self, state, course): return [1, [2, 3]]", "Post.fields: must return numbers, in lists of equal"),
     ("def observation_space(self): return Box(0, 1, (3,))", "Post.fields: observations are of shape (5,), in"),
-    ("t_move_s: float = 0.4\n    def observation_space(self): return Box(0, 1, (5,))",
-     "Post.fields: observations are of shape (10,)"),
     ("def sample(self, random, options): return {'a': {1}}", "Post.sample: must return plain numbers"),
     ("def fields(self, state, course): return []", "Post.fields: returned no numbers"),
     ("def fields(self, state, course): return [1e300]", "Post.fields: returned a number that is not finite: [inf]"),
@@ -263,14 +261,26 @@ def test_a_file_without_one_task_is_one_line(file: str, line: str, here: Path, s
     ("def info(self, now): return {'commands': 'few'}", "Post.info: 'commands' is an item of all tasks"),
     ("def info(self, now): return {'conditions': 'windy'}", "Post.info: 'conditions' is an item of all tasks"),
     ("def sample(self, random, options): return {'conditions': 1.0}", "Post.sample: 'conditions' are those of"),
+    ("def sample_conditions(self, random, games): return {'wind': 'strong'}",
+     "Post.sample_conditions: 'wind' is 'strong': must be a finite number"),
+    ("def sample_conditions(self, random, games): return {'wind': 1}\n    def with_conditions(self, conditions): pass",
+     "Post.with_conditions: returned None: must be a task"),
     ("def info(self, now): return {'lane': 'left'}", "Post.info: 'lane' is 'left': must be a whole number, or name"),
     ("def info(self, now): return {'distance_m': 0 * 1e400}", "Post.info: 'distance_m' is nan: must be a finite"),
     ("def action_space(self): return 4", "Post.action_space: must return a Discrete that begins with 0, or a Box"),
     ("def action_space(self): return Discrete(4, start=1)", "Post.action_space: must return a Discrete that begins"),
+    ("def action_space(self): return Box(-1, 1, (0,))", "Post.action_space: must return a Discrete that begins with 0"),
+    ("def action_space(self): return Box(-1, 1, (2,), int)", "Post.action_space: must return a Discrete that begins"),
     ("def goal(self, action): return 4", "Post.goal: must return a goal of uavaccel.kinematics"),
-    ("speed_m_s: object = float('nan')", "Post.goal: must be of finite numbers, not VelocityGoal("),
+    ("@property\n    def directions(self): return [(float('nan'), 0, 0)] * 4",
+     "Post.goal: must be of finite numbers, not VelocityGoal("),
     ("def advance(self, before, now): pass", "Post.advance: returned None: must be a mapping"),
-    ("def layout(self, course): return {'obstacles': [{'x': 1}]}", "Post.layout: lane: unknown key 'obstacles.0.x'"),
+    ("def advance(self, before, now): now.course['aim_m'][0] += 1; return now.course",
+     "Post.advance: changes the course that it is given"),
+    ("def fields(self, state, course): return course.pop('aim_m')", "Post.fields: changes the course that it is"),
+    ("scene = 'lane'\n    def layout(self, course): return {'obstacles': [{'x': 1}]}",
+     "Post.layout: lane: unknown key 'obstacles.0.x'"),
+    ("def layout(self, course): return {'obstacles': []}", "Post.layout: a layout is of obstacles, light"),
 ])  # fmt: skip
 def test_a_function_with_a_mistake_is_named(function: str, line: str, here: Path, said: Callable[[str], str]) -> None:
     (here / "mine.py").write_text(f"{POST}\n    {function}\n")
@@ -311,7 +321,9 @@ def test_a_start_where_nothing_flies_is_one_line(
     here: Path, said: Callable[[str], str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     fly_here(monkeypatch.setattr)
-    here.joinpath("post.py").write_text(f"{POST}\n    altitude_m: float = 1e5\n")
+    high = "def sample_conditions(self, random, games): return {'altitude_m': 1e5}"
+    under = "def with_conditions(self, conditions): return self.model_copy(update=conditions)"
+    here.joinpath("post.py").write_text(f"{POST}\n    {high}\n    {under}\n")
     error = said(f"train {yaml_of(here, 'Post', 'mujoco')} --out run")
     assert error.endswith(
         "post.py: Post.altitude_m: position: NED z has to be from -19878 (thin air) to 0 m (the ground), not -100000"

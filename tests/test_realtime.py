@@ -20,6 +20,7 @@ from gymnasium.utils.env_checker import check_env
 from numpy.typing import NDArray
 
 import uavaccel.envs  # noqa: F401  registers the drones
+from tests.counting import Closing, Counting, Failing, OwnError
 from tests.processes import left_after, state_of
 from uavaccel.clock import VirtualClock
 from uavaccel.errors import UserError
@@ -34,34 +35,6 @@ from uavaccel.wire.latency import read_latency
 pytestmark = pytest.mark.usefixtures("whole_messages")
 
 Env = gymnasium.Env[Any, Any]
-
-
-class Counting(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
-    """A stranger's: it counts its steps, a reward each is its action, and an episode ends after 50."""
-
-    observation_space = spaces.Box(-np.inf, np.inf, (1,), np.float32)
-    action_space = spaces.Box(-1.0, 1.0, (1,), np.float32)
-    dt = 0.02
-
-    def reset(self, *, seed: int | None = None, options: Any = None) -> tuple[NDArray[np.float32], dict[str, Any]]:
-        super().reset(seed=seed)
-        self.applied: list[float] = []
-        return np.zeros(1, np.float32), {"drawn": self.np_random.random(), "options": options}
-
-    def step(self, action: NDArray[np.float32]) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
-        self.applied.append(float(action[0]))
-        count = len(self.applied)
-        return np.full(1, count, np.float32), float(action[0]), count >= 50, False, {}
-
-
-class Closing(Counting):
-    """It leaves a file where it is closed."""
-
-    def __init__(self, file: Path) -> None:
-        self._file = file
-
-    def close(self) -> None:
-        self._file.touch()
 
 
 class Drawing(ThinkingTime):
@@ -587,23 +560,6 @@ def test_a_process_of_its_own_goes_on_by_the_machines_clock(tmp_path: Path) -> N
         RealTimeProcess(partial(gymnasium.make, "FrozenLake-v1"))
 
 
-class Failing(Counting):
-    """It fails in a step: with an exception, in a process of its own too."""
-
-    def __init__(self, error: BaseException) -> None:
-        self._error = error
-
-    def step(self, action: Any) -> Any:
-        raise self._error
-
-
-class OwnError(Exception):
-    """It cannot be unpickled."""
-
-    def __init__(self, one: int, two: int) -> None:
-        super().__init__(f"{one} and {two}")
-
-
 @pytest.mark.wall_clock
 @pytest.mark.slow
 def test_in_a_process_of_its_own_an_environments_exception_arrives_whole() -> None:
@@ -664,8 +620,9 @@ def test_a_process_that_was_stopped_is_noticed_and_ended(monkeypatch: pytest.Mon
 def test_an_interrupted_program_ends_though_its_environment_was_stopped() -> None:
     """An interruption while it waits, and nobody closes what it made."""
     program = (
-        "import os, signal; from tests.test_realtime import *; env = RealTimeProcess(Counting, 'tcsc'); env.reset();"
-        "os.kill(env._process.pid, signal.SIGSTOP); print(env._process.pid, flush=True); env.step(one(0.1))"
+        "import os, signal; from uavaccel.realtime import RealTimeProcess; from tests.counting import Counting;"
+        "env = RealTimeProcess(Counting, 'tcsc'); env.reset(); os.kill(env._process.pid, signal.SIGSTOP);"
+        "print(env._process.pid, flush=True); env.step([0.1])"
     )
     asked = [sys.executable, "-c", program]
     with subprocess.Popen(asked, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:

@@ -64,12 +64,6 @@ def test_a_row_of_noise_begins_as_a_longer_one_does() -> None:
 # --- how much -----------------------------------------------------------------------------------------------------
 
 
-def test_leak_makes_on_events_alone() -> None:
-    on, off = events_per_s(100, 10, 4.0, dvs_leak_hz=1.5, dvs_spread_ratio=0.0)
-    assert not off.any()
-    assert on.mean() == pytest.approx(1.5, abs=0.01)
-
-
 def test_hot_pixels_fire_whatever_they_see_and_others_do_not() -> None:
     for grey in (0, 200):
         on, off = events_per_s(grey, 3, 4.0, dvs_hot_pixels=0.03)
@@ -148,25 +142,6 @@ def test_event_noise_is_of_the_game_where_there_is_any() -> None:
     for keys in ({"dvs_shot_noise_hz": 1.0}, {"dvs_leak_hz": 0.5}):
         assert [LaneTask(**keys).events_seed(seed) for seed in (3, 4)] == [3, 4]
     assert LaneTask(dvs_hot_pixels=0.1, image_noise=3.0).events_seed(3) == 0
-
-
-@pytest.mark.opengl
-def test_hot_pixels_are_hot_in_flight() -> None:
-    """Among pixels whose view changes by less than a threshold: as many ON events as a second of 10 Hz has."""
-    counts = []
-    for share in (0.0, 0.05):
-        with closing(ObstacleLane(list_events=True, dvs_hot_pixels=share)) as environment:
-            environment.reset(seed=0, options={"lane": 0})
-            environment.pop_events()
-            environment.step(2)
-            _, x, y, polarity = environment.pop_events().T
-        count = np.zeros((2, *SHAPE), int)
-        np.add.at(count, ((polarity < 0).astype(int), y.astype(int), x.astype(int)), 1)
-        counts.append(count)
-    still = ~counts[0].any(axis=0)
-    hot = counts[1][0][still]
-    assert (hot > 0).mean() == pytest.approx(0.05, abs=0.01)
-    assert hot[hot > 0].mean() == pytest.approx(10.0, abs=0.5)
 
 
 @pytest.mark.opengl

@@ -288,7 +288,7 @@ scalars = (
     | st.binary()
 )
 values = st.recursive(
-    scalars, lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(), inner, max_size=4)
+    scalars, lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(), inner, max_size=4), max_leaves=8
 )
 message_ids = st.integers(0, (1 << 32) - 1)
 requests = st.tuples(message_ids, st.text(), st.lists(values, max_size=4))

@@ -119,46 +119,44 @@ def served(folder: Path, *command: str) -> Iterator[tuple[str, subprocess.Popen[
 def test_a_browser_pauses_steps_and_scrubs(tmp_path: Path, browser: Any) -> None:
     with served(tmp_path, "watch") as (address, _):
         heard: list[str] = []
+        page = new_page(browser, viewport={"width": 390, "height": 844})
+        page.on("pageerror", lambda error: heard.append(str(error)))
+        page.on("request", lambda request: heard.append(request.url))
+        page.goto(address)
+        clocks = page.locator(".clocks")
+        choose(page, "Shown at", "0.25x")  # a slow browser would miss the end, and its click on Pause begin anew
+        assert page.title() == "ADSC and TCSC fly one square – uavaccel"
+        page.get_by_role("main").get_by_role("slider", name="Time, s").wait_for()
+        assert page.get_by_role("heading", level=1).inner_text() == page.title()
+        assert page.locator("button, img").evaluate_all(NAMED), "all have names for who hears the page"
+        page.locator(".mantine-Slider-track").click(position={"x": 3, "y": 1})
+        if SCREENSHOTS in os.environ:
+            page.wait_for_timeout(12_000)  # some of the path
+        before, stepped = pause_and_step(page)
+        assert wall_ms(stepped) - wall_ms(before) == pytest.approx(1.0, abs=0.11)
+        page.wait_for_timeout(300)
+        assert clocks.inner_text() == stepped
+        page.locator("#webgl-software-rendering button").click()
+        button, playing = (page.get_by_role("button", name=name, exact=True) for name in ("Step", "Play"))
+        scene, panel = (page.locator(name).first.bounding_box() for name in ("canvas", ".mantine-Paper-root"))
+        assert scene is not None
+        assert panel is not None
+        assert scene["y"] + scene["height"] == pytest.approx(panel["y"], abs=1.0) == 844 / 2
+        assert panel["width"] == 390
+        choose(page, "Shown at", "as fast as it flies")
         for width, height in ((390, 844), (1280, 720)):
-            page = new_page(browser, viewport={"width": width, "height": height})
-            page.on("pageerror", lambda error: heard.append(str(error)))
-            page.on("request", lambda request: heard.append(request.url))
-            page.goto(address)
-            clocks = page.locator(".clocks")
-            choose(page, "Shown at", "0.25x")  # a slow browser would miss the end, and its click on Pause begin anew
-            assert page.title() == "ADSC and TCSC fly one square – uavaccel"
-            page.get_by_role("main").get_by_role("slider", name="Time, s").wait_for()
-            assert page.get_by_role("heading", level=1).inner_text() == page.title()
-            assert page.locator("button, img").evaluate_all(NAMED), "all have names for who hears the page"
-            page.locator(".mantine-Slider-track").click(position={"x": 3, "y": 1})
-            if SCREENSHOTS in os.environ:
-                page.wait_for_timeout(12_000)  # some of the path
-            before, stepped = pause_and_step(page)
-            assert wall_ms(stepped) - wall_ms(before) == pytest.approx(1.0, abs=0.11)
-            page.wait_for_timeout(300)
-            assert clocks.inner_text() == stepped
-            choose(page, "Shown at", "as fast as it flies")
-            page.locator("#webgl-software-rendering button").click()
+            page.set_viewport_size({"width": width, "height": height})
             if SCREENSHOTS in os.environ:
                 page.wait_for_timeout(1000)
                 page.screenshot(path=Path(os.environ[SCREENSHOTS]) / f"watch_{width}.png", timeout=120_000)
-            button = page.get_by_role("button", name="Step", exact=True)
             step, scrub = button.bounding_box(), page.locator(".mantine-Slider-track").bounding_box()
             assert step is not None
             assert scrub is not None
             assert step["y"] < scrub["y"] < step["y"] + step["height"]  # one row
-            page.get_by_role("button", name="Play", exact=True).click()
-            page.wait_for_function("words => document.querySelector('.clocks').innerText.includes(words)", arg="done")
-            assert button.bounding_box() == step  # whatever the clocks say
-            if width == 390:
-                scene, panel = (page.locator(name).first.bounding_box() for name in ("canvas", ".mantine-Paper-root"))
-                assert scene is not None
-                assert panel is not None
-                assert scene["y"] + scene["height"] == pytest.approx(panel["y"], abs=1.0) == height / 2
-                assert panel["width"] == width
             assert page.evaluate("document.documentElement.scrollWidth") <= width
-            if width == 390:
-                page.close()
+        playing.click()
+        page.wait_for_function("words => document.querySelector('.clocks').innerText.includes(words)", arg="done")
+        assert button.bounding_box() == step  # whatever the clocks say
         apart_m = []
         for clock_speed in ("1x", "100x"):
             choose(page, "ClockSpeed", clock_speed)

@@ -8,6 +8,7 @@ import os
 import socket
 import threading
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,12 +18,13 @@ import pytest
 from tests.flying import STRAIGHT, call, go_on, hovering, point, pose
 from tests.learning import tiny_config
 from tests.running import configured, fly_into
+from tests.scripts import fly_here
+from tests.serving import running_server
 from uavaccel.cli.experiments import run_experiment
 from uavaccel.clock import VirtualClock
 from uavaccel.commands import COMMANDS, VelocityGoal
 from uavaccel.envs.obstacle_lane import ObstacleLane
 from uavaccel.errors import UsageError
-from uavaccel.fly.command import fly
 from uavaccel.fly.options import FlightOptions
 from uavaccel.records import RunDirectory
 from uavaccel.sim.profile import NATIVE
@@ -63,9 +65,9 @@ def feed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Live]:
     listening.close()
 
 
-def flown(timing: str = "lockstep") -> dict[str, np.ndarray]:
+def flown() -> dict[str, np.ndarray]:
     """Two commands of 2 s each."""
-    with open_session(timing) as session:
+    with open_session("lockstep") as session:
         client, command = session.start_game(10.0), COMMANDS["tcsc"]
         command.begin(client)
         for velocity in ((2.0, 0.0, 0.0), (0.0, 2.0, -1.0)):
@@ -262,16 +264,12 @@ def test_a_page_is_told_as_often_as_it_looks_and_of_each_reset(tmp_path: Path, m
 
 @pytest.mark.wall_clock
 def test_a_server_on_the_machines_clock_cannot_be_held(feed: Live) -> None:
-    thread = threading.Thread(target=lambda: flown(timing="wall"))
-    thread.start()
     heard: list[Moment] = []
     feed.held = True
-    while thread.is_alive():
-        heard += feed.update(0.0, seen=True)
-    thread.join()
-    assert heard
+    with running_server(clock_speed=10.0):
+        while not heard or heard[-1].drones[0].time_s < 2.0:
+            heard += feed.update(0.0, seen=True)
     assert not any(moment.may_pause for moment in heard)
-    assert max(moment.drones[0].time_s for moment in heard) > 2.0
 
 
 @pytest.mark.slow
@@ -290,26 +288,26 @@ def test_a_trainings_lanes_are_heard_from_their_processes(feed: Live, tmp_path: 
 
 @pytest.mark.slow
 def test_watching_changes_no_byte_of_runs_and_scripts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Runs in this process and in two workers, an evaluation, and a script in a process of its own."""
+    """Of a run, an evaluation, and a script."""
     monkeypatch.setattr(beside, "FIRST_SPECTATOR_S", 0.0)
     squares = configured("dp1", clock_speed=[50.0], t_move_s=[0.5], rounds=[1], games=2, timing="virtual", seed=3)
     lanes = configured("evaluate", "task.observation=state", agent="straight", games=2)
     (tmp_path / "script.py").write_text(SCRIPT)
     options = FlightOptions(tmp_path / "script.py", (), tmp_path, clock_speed=10.0, scratch=tmp_path)
 
-    def all_bytes(name: str, jobs: int) -> dict[str, bytes]:
+    def all_bytes(name: str) -> dict[str, bytes]:
         out = tmp_path / name
-        fly_into(out / "dp1", Dp1(), squares, jobs=jobs)
+        fly_into(out / "dp1", Dp1(), squares)
         fly_into(out / "evaluate", Evaluation(), lanes)
-        flight = FlightOptions(**{**vars(options), "folder": out / "fly"})
-        assert fly(flight, quiet=True).status == 0
+        (out / "fly").mkdir()
+        assert fly_here(replace(options, folder=out / "fly")) == 0
         kept = ("rows.jsonl", "*.npz", "messages.jsonl", "trajectory.csv")
         files = [file for pattern in kept for file in sorted(out.rglob(pattern))]
         return {str(file.relative_to(out)): file.read_bytes() for file in files}
 
-    alone = all_bytes("alone", jobs=1)
+    alone = all_bytes("alone")
     with page_beside(port=18090):
-        watched = all_bytes("watched", jobs=2)
+        watched = all_bytes("watched")
     assert PAGE not in os.environ
     assert len(alone) > 10
     assert watched == alone

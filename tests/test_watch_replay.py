@@ -10,10 +10,10 @@ import pytest
 from tests.learning import tiny_config, train_into
 from tests.made_runs import line_row
 from tests.running import configured, fly_into
+from tests.scripts import fly_here
 from uavaccel.envs.obstacle_lane import ObstacleLane
 from uavaccel.errors import UsageError, UserError
 from uavaccel.files import read_arrays, to_json, write_arrays
-from uavaccel.fly.command import fly
 from uavaccel.fly.options import FlightOptions
 from uavaccel.records import RunDirectory
 from uavaccel.rl.agents import make_agent
@@ -40,9 +40,9 @@ def script(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """What `fly --clock 10 --out` keeps."""
     folder = tmp_path_factory.mktemp("script")
     (folder / "script.py").write_text(SCRIPT)
-    options = FlightOptions(folder / "script.py", (), folder / "flight", clock_speed=10.0, scratch=folder)
-    assert fly(options, quiet=True).status == 0
-    return folder / "flight"
+    (out := folder / "flight").mkdir()
+    assert fly_here(FlightOptions(folder / "script.py", (), out, clock_speed=10.0, scratch=folder)) == 0
+    return out
 
 
 @pytest.fixture(scope="module")

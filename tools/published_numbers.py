@@ -736,6 +736,10 @@ def moved_in_training() -> Text:
     yield f"the start costs {points(found[0][1]).replace('points', 'points of success')}"
     whole = "{1:.0f} to {2:.0f} %, on average {0:.0f} %"
     yield f"policies win {won('start_50x', words=whole)}, of 300 lanes in real time"
+    at_10x = where(by_lane("rl_sensitivity"), command="adsc", clock_speed=10.0)
+    half, twice = (success_of(where(at_10x, variant=spread)).estimate.value for spread in ("spread_0_25", "spread_1"))
+    yield f"spread](results-paper.md#what-was-fitted-and-chosen) lowers it to {100 * half:.1f} %, twice as"
+    yield f"twice as much raises it to {100 * twice:.1f} %."
     yield f"restored, {won('way_50x', words=whole)}; with TCSC {won('tcsc', words=whole)}."
     yield f"| no gap | {won('tcsc')}: this is TCSC | {won('start_50x')} |"
     yield f"| 50x's gap of 3.57 s | {won('way_50x')} | {won('gap_50x')} |"

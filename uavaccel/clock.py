@@ -193,6 +193,7 @@ def time_module(epoch_now_ns: Callable[[], int], sleep: Callable[[float], None])
         return seconds(None)
 
     vars(module).update(
+        clock=lambda: module.perf_counter(),  # of Python before 3.8
         sleep=sleep,
         clock_gettime=clock_gettime,
         clock_gettime_ns=lambda clock: epoch_now_ns(),
@@ -212,7 +213,7 @@ def counted_time_module(slept: Callable[[float], None]) -> ModuleType:
         time.sleep(seconds)
         slept(seconds)
 
-    return changed(time, sleep=sleep)
+    return changed(time, sleep=sleep, clock=time.perf_counter)
 
 
 class _StandIn(type):

@@ -87,6 +87,19 @@ class Config(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, validate_default=True)
 
     @classmethod
+    def __pydantic_init_subclass__(cls, **kwargs: Any) -> None:
+        """Keep a key's words and limits where a class names it again, with another default, by a bare type."""
+        found = False
+        for base in (each for each in cls.__bases__ if issubclass(each, Config)):
+            for name, before in base.model_fields.items():
+                now = cls.model_fields.get(name, before)
+                bare = isinstance(now.annotation, type) and not (now.metadata or issubclass(now.annotation, Config))
+                if bare and (now.annotation, []) != (before.annotation, before.metadata):
+                    now.annotation, now.metadata, found = before.annotation, [*before.metadata], True
+        if found:
+            cls.model_rebuild(force=True)
+
+    @classmethod
     def __get_pydantic_json_schema__(cls, core_schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
         made = handler(core_schema)
         properties = handler.resolve_ref_schema(made).get("properties", {})

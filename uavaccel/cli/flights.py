@@ -210,7 +210,7 @@ def export(
         if csv is not None or parquet is not None:
             from uavaccel.suites.report import write_tables
 
-            tables = ((csv, "csv"), (parquet, "parquet"))
+            tables = ((parquet, "parquet"), (csv, "csv"))  # a missing pyarrow first
             written += [write_tables(open_run(source), folder, kind) for folder, kind in tables if folder is not None]
         if mcap is not None:
             from uavaccel.export import write_mcap

@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from gymnasium.vector import AutoresetMode
@@ -28,6 +28,14 @@ from uavaccel.machine import usable_cores
 from uavaccel.own_code import check_not_importing, folder_of, place_of
 from uavaccel.sim.camera.gl import choose_backend
 from uavaccel.units import NS_PER_S
+
+Seeds = Sequence[int | None]
+GameOptions = Sequence[Mapping[str, object] | None]
+Arguments = Sequence[tuple[Any, ...]]
+"""The seeds and options of games, and arguments of a method: one for each of the slots."""
+
+Slots: TypeAlias = Sequence[int] | None
+"""Environments of a batch by their numbers; None for all."""
 
 
 def set_up(batch: Any, environment: type[FlightEnv[Any]], num_envs: int, mode: object, keys: Mapping[str, Any]) -> Any:
@@ -76,20 +84,15 @@ class TurnBatch(Batch, ABC):
     # --- learners ---------------------------------------------------------------------------------
 
     @abstractmethod
-    def reset_each(
-        self,
-        seeds: Sequence[int | None],
-        options: Sequence[Mapping[str, object] | None],
-        slots: Sequence[int] | None = None,
-    ) -> list[Info]:
+    def reset_each(self, seeds: Seeds, options: GameOptions, slots: Slots = None) -> list[Info]:
         """Begin a game in each of `slots`, by default all, with its own seed and options; return the infos."""
 
     @abstractmethod
-    def step_async(self, actions: Actions, slots: Sequence[int] | None = None) -> None:
+    def step_async(self, actions: Actions, slots: Slots = None) -> None:
         """Start one command in each of `slots`, by default all, and return while they fly."""
 
     @abstractmethod
-    def step_wait(self, slots: Sequence[int] | None = None) -> Steps:
+    def step_wait(self, slots: Slots = None) -> Steps:
         """Wait for what `step_async` started in the same `slots`.
 
         Returns observations, rewards, terminations, truncations and infos. With autoreset SAME_STEP the last info of a
@@ -97,9 +100,7 @@ class TurnBatch(Batch, ABC):
         """
 
     @abstractmethod
-    def call_each(
-        self, name: str, arguments: Sequence[tuple[object, ...]], slots: Sequence[int] | None = None
-    ) -> list[Answer]:
+    def call_each(self, name: str, arguments: Arguments, slots: Slots = None) -> list[Answer]:
         """Call a method of `slots`, by default all, each with its own arguments; return the results."""
 
     def charge_each(self, durations_ns: NDArray[int64]) -> None:
@@ -188,13 +189,13 @@ class EnvironmentBatch(TurnBatch):
 
     # --- learners ---------------------------------------------------------------------------------
 
-    def step_async(self, actions: Actions, slots: Sequence[int] | None = None) -> None:
+    def step_async(self, actions: Actions, slots: Slots = None) -> None:
         """Start one command in each of `slots`, by default all, and return while they fly."""
         which = self._all(slots)
         for slot, action in zip(which, actions_of(self.single_action_space, actions, len(which)), strict=True):
             self._slots.ask(slot, "step", action)
 
-    def step_wait(self, slots: Sequence[int] | None = None) -> Steps:
+    def step_wait(self, slots: Slots = None) -> Steps:
         """As `TurnBatch` has it; raises BatchError where an environment has failed or its process has ended."""
         which = list(self._all(slots))
         rewards, terminated, truncated, infos, lasts = zip(*self._slots.answers(which), strict=True)
@@ -204,18 +205,11 @@ class EnvironmentBatch(TurnBatch):
         seen = select(self._observations.present, which)
         return seen, np.array(rewards), np.array(terminated), np.array(truncated), list(infos)
 
-    def reset_each(
-        self,
-        seeds: Sequence[int | None],
-        options: Sequence[Mapping[str, object] | None],
-        slots: Sequence[int] | None = None,
-    ) -> list[Info]:
+    def reset_each(self, seeds: Seeds, options: GameOptions, slots: Slots = None) -> list[Info]:
         """As `TurnBatch` has it."""
         return self._slots.request_all("reset", list(zip(seeds, options, strict=True)), self._all(slots))
 
-    def call_each(
-        self, name: str, arguments: Sequence[tuple[object, ...]], slots: Sequence[int] | None = None
-    ) -> list[Answer]:
+    def call_each(self, name: str, arguments: Arguments, slots: Slots = None) -> list[Answer]:
         """Call a method of `slots`, by default all, each with its own arguments; returns the results."""
         return self._slots.request_all("call", [(name, *argument) for argument in arguments], self._all(slots))
 
@@ -232,7 +226,7 @@ class EnvironmentBatch(TurnBatch):
         """Return the present observations of all environments."""
         return mapped(np.copy, self._observations.present)
 
-    def _all(self, slots: Sequence[int] | None) -> Sequence[int]:
+    def _all(self, slots: Slots) -> Sequence[int]:
         return range(self.num_envs) if slots is None else slots
 
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from uavaccel.config import validate
 from uavaccel.envs.task import Task, told_of
-from uavaccel.envs.values import AT_REST, CONDITIONS, Action, Actions, Moment
+from uavaccel.envs.values import AT_REST, CONDITIONS, Action, Actions, Course, Moment
 from uavaccel.errors import UserError
 from uavaccel.kinematics import FlightGoal, Kinematics
 from uavaccel.own_code import errors_named, files_of
@@ -127,16 +127,25 @@ class Functions:
 
     def __init__(self, task: Task) -> None:
         self._task, self._files = task, files_of(type(task))
+        self._course: Course = {}
+        self._text = "{}"
+
+    def watch(self, course: Course) -> None:
+        """Refuse calls that change a course. Raises TypeError or ValueError unless it is one of JSON's values."""
+        self._course, self._text = course, json.dumps(course)
 
     def __call__(self, name: str, *arguments: object) -> Any:
         try:
             with errors_named(self._files):
-                return getattr(self._task, name)(*arguments)
+                returned = getattr(self._task, name)(*arguments)
         except UserError as error:
             named = str(error).startswith(tuple(map(str, self._files)))
             raise error if named else self.wrong(name, str(error)) from error
         except Exception as error:  # of the call itself, as for a wrong number of arguments
             raise self.wrong(name, f"{type(error).__name__}: {error}") from error
+        if json.dumps(self._course, default=str) != self._text:
+            raise self.wrong(name, "changes the course that it is given; only advance does, by returning another")
+        return returned
 
     def mapping(self, name: str, *arguments: object) -> Mapping[str, Any]:
         if not isinstance(returned := self(name, *arguments), Mapping):
@@ -155,16 +164,18 @@ def check_functions(task: Task) -> None:
         raise call.wrong("reward", "is missing: def reward(self, before, now), which returns a command's reward")
     actions = call("action_space")
     numbered = isinstance(actions, spaces.Discrete) and actions.start == 0
-    if not (numbered or (isinstance(actions, spaces.Box) and len(actions.shape) == 1)):
-        what = "a Discrete that begins with 0, or a Box of shape (n,)"
+    row = isinstance(actions, spaces.Box) and len(actions.shape) == 1 and actions.shape[0] > 0
+    if not (numbered or (row and np.issubdtype(actions.dtype, np.floating))):
+        what = "a Discrete that begins with 0, or a Box of floats, at least one, of shape (n,)"
         raise call.wrong("action_space", f"must return {what}, not {actions!r}")
     course = call.mapping("sample", np.random.default_rng(0), {})
     if CONDITIONS in course:
         raise call.wrong("sample", f"{CONDITIONS!r} are those of sample_conditions: name yours otherwise")
     try:
-        json.dumps(course)
+        call.watch(course)
     except (TypeError, ValueError) as error:
         raise call.wrong("sample", f"must return plain numbers, and lists and mappings of them: {error}") from error
+    _check_conditions(call)
     call("lane_layout", course)
     state = replace(AT_REST, position_m=(0.0, 0.0, -task.altitude_m))
     _check_features(task, call, state, course)
@@ -188,6 +199,15 @@ def check_functions(task: Task) -> None:
             raise call.wrong(name, f"returned {ended!r}: must be True or False")
     check_reward(task, call("reward", begun, now))
     _check_info(task, call, now)
+
+
+def _check_conditions(call: Functions) -> None:
+    conditions = call.mapping("sample_conditions", np.random.default_rng(0), 0)
+    for name, value in conditions.items():  # columns of a run's rows
+        if isinstance(value, bool) or not isinstance(value, Real) or not math.isfinite(value):
+            raise call.wrong("sample_conditions", f"{name!r} is {value!r}: must be a finite number")
+    if conditions and not isinstance(under := call("with_conditions", conditions), Task):
+        raise call.wrong("with_conditions", f"returned {under!r}: must be a task, as self.model_copy(update=...) is")
 
 
 def _check_info(task: Task, call: Functions, now: Moment) -> None:

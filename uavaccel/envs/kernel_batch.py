@@ -6,7 +6,7 @@ They fly as in the exact simulator, and observe images of the kernels instead of
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any
 
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from uavaccel.clock import MonotonicClock
 from uavaccel.config import MOST_PROCESSES
 from uavaccel.envs.arrays import assign, each_of, mapped, named_leaves, select
-from uavaccel.envs.batch import TurnBatch, set_up
+from uavaccel.envs.batch import Arguments, GameOptions, Seeds, Slots, TurnBatch, set_up
 from uavaccel.envs.checks import actions_of, whole_number
 from uavaccel.envs.flight_env import FlightEnv
 from uavaccel.envs.judging import Flown, Judge, Running
@@ -105,12 +105,7 @@ class KernelBatch(TurnBatch):
 
     # --- learners ---------------------------------------------------------------------------------
 
-    def reset_each(
-        self,
-        seeds: Sequence[int | None],
-        options: Sequence[Mapping[str, object] | None],
-        slots: Sequence[int] | None = None,
-    ) -> list[Info]:
+    def reset_each(self, seeds: Seeds, options: GameOptions, slots: Slots = None) -> list[Info]:
         """As `TurnBatch` has it. Raises UserError where the first reset is not of all environments."""
         which = range(self.num_envs) if slots is None else slots
         if len(which) < self.num_envs and not self._drawn:
@@ -131,7 +126,7 @@ class KernelBatch(TurnBatch):
         games: Running = mapped(np.copy, self._judge.begun(course, np.zeros((self.num_envs, KINEMATICS)), None))
         return games
 
-    def step_async(self, actions: Actions, slots: Sequence[int] | None = None) -> None:
+    def step_async(self, actions: Actions, slots: Slots = None) -> None:
         """As `TurnBatch` has it. Raises UserError before the first reset."""
         if not self._drawn:
             raise UserError("reset the environments before their first step")
@@ -144,7 +139,7 @@ class KernelBatch(TurnBatch):
         self._begun_ns = self._clock.now_ns()
         self._flying[int(which[0])] = self._run(cpu.FLY, which[~self._over[which]], self._pictures)
 
-    def step_wait(self, slots: Sequence[int] | None = None) -> Steps:
+    def step_wait(self, slots: Slots = None) -> Steps:
         """As `TurnBatch` has it. Raises UserError where no command was started."""
         which = np.arange(self.num_envs) if slots is None else np.asarray(slots)
         flying = self._flying.pop(int(which[0]), None)
@@ -197,9 +192,7 @@ class KernelBatch(TurnBatch):
         """Return the present observation of every environment."""
         return mapped(np.copy, self._running.observations)
 
-    def call_each(
-        self, name: str, arguments: Sequence[tuple[Any, ...]], slots: Sequence[int] | None = None
-    ) -> list[Answer]:
+    def call_each(self, name: str, arguments: Arguments, slots: Slots = None) -> list[Answer]:
         """Call `charge`, `get_state` or `set_state` of the environments `lanes`, by default all. Raises UserError."""
         methods = {"charge": self.charge, "get_state": self._get_state, "set_state": self._set_state}
         if name not in methods:

@@ -365,6 +365,8 @@ class Task(Config):
         from uavaccel.wire.image_api import lane_layout  # as heavy as the simulation
 
         layout = self.layout(course)
+        if layout is not None and self.scene != "lane":
+            raise UserError(f"a layout is of obstacles, light and wind of the lane: return None in scene {self.scene}")
         return None if layout is None else lane_layout(layout)
 
     def advance(self, before: AnyMoment, now: AnyMoment) -> Course:

@@ -99,15 +99,11 @@ def _check_request(request: FlyRequest) -> None:
         needed = "--film and --think need --timing virtual or lockstep"
         raise UsageError(f"{needed}: in wall time they would cost flight time")
     if flight.film:
-        _check_film(out)
+        from uavaccel.draw.style import check_films  # with what draws
 
-
-def _check_film(out: Path | None) -> None:
-    from uavaccel.draw.style import check_films  # with what draws
-
-    if out is None:
-        raise UsageError("--film needs --out, a folder for it")
-    check_films()
+        if out is None:
+            raise UsageError("--film needs --out, a folder for it")
+        check_films()
 
 
 def _fly_one(request: FlyRequest, options: FlightOptions, again_in: Path) -> int:

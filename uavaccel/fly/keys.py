@@ -164,7 +164,8 @@ class Stub:
     def __getitem__(self, key: object) -> bool:
         return False
 
-    __exit__ = __getitem__
+    def __exit__(self, *exception: object) -> None:
+        pass
 
 
 class StubModule(ModuleType):

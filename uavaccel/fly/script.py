@@ -147,7 +147,6 @@ def _still_flying_at_exit() -> Iterator[None]:
         except (FlightOver, KeyboardInterrupt):
             pass
         except Exception as error:
-            hide_ours(error)
             error.__traceback__ = error.__traceback__ and error.__traceback__.tb_next  # without this frame
             print(f"Exception ignored in atexit callback: {act.func!r}", file=sys.stderr)
             traceback.print_exception(error)
@@ -173,7 +172,6 @@ def _run(code: CodeType, path: Path, arguments: tuple[str, ...]) -> tuple[int, s
         while first is not None and first.tb_frame.f_code.co_filename != code.co_filename:
             first = first.tb_next
         error.__traceback__ = first or error.__traceback__  # from the script's first frame on
-        hide_ours(error)
         traceback.print_exception(error)
         if isinstance(error, TypeError) and ARRAY_AS_NUMBER in str(error):
             print(f"uavaccel: {ADVICE}", file=sys.stderr)

@@ -232,13 +232,8 @@ def colour_column(texels: Texels, floats: Floats, integers: Integers, column: in
 @part(error_model="numpy", inline=False)
 def render_channels(appearance: Appearance, scratch: Scratch, colour: bool) -> None:
     """Render the projected faces to `scratch.channels`: red, green and blue if `colour`, else luma."""
-    texels, textures, faces, spans, counts = (
-        appearance.texels,
-        appearance.textures,
-        scratch.faces,
-        scratch.spans,
-        scratch.counts,
-    )
+    texels, textures = appearance.texels, appearance.textures
+    faces, spans, counts = scratch.faces, scratch.spans, scratch.counts
     floats, integers, channels = scratch.floats, scratch.integers, scratch.channels
     find_spans(faces, scratch.begins, scratch.ends, spans, counts)
     for column in range(at.COLUMNS):
@@ -293,11 +288,8 @@ def paint_depths(
             floats[BEST, row] = faces[0, at.FAR_W]
         for number in range(counts[column]):
             span = scratch.spans[column, number]
-            a, b, c = (
-                faces[span >> 16, at.W] * np.float32(column),
-                faces[span >> 16, at.W + 1],
-                faces[span >> 16, at.W + 2],
-            )
+            face = span >> 16
+            a, b, c = faces[face, at.W] * np.float32(column), faces[face, at.W + 1], faces[face, at.W + 2]
             for row in range(np.uintp((span >> 8) & 255), np.uintp(span & 255)):
                 w = a + (b * floats[ROW, row] + c)
                 floats[BEST, row] = max(w, floats[BEST, row])

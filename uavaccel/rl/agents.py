@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping
@@ -19,10 +20,11 @@ from numpy.typing import NDArray
 from uavaccel.envs.arrays import select
 from uavaccel.envs.conditions import OF_SENSOR
 from uavaccel.envs.obstacle_lane import LaneTask
+from uavaccel.envs.sensors import DEPTH_FAR_M, PICTURE_SIZE, SIZE
 from uavaccel.envs.task import Task
 from uavaccel.envs.values import Action, Info, Observation
 from uavaccel.errors import UserError
-from uavaccel.files import file_sha256
+from uavaccel.files import file_sha256, parse_json
 from uavaccel.own_code import errors_named, own_function, takes
 from uavaccel.realtime.policies import fitting
 from uavaccel.realtime.policy_files import OnnxFile, PolicyFile, policy_file
@@ -31,16 +33,10 @@ from uavaccel.resources import asset
 from uavaccel.rl.config import LANE, LearnerConfig, environment_class
 from uavaccel.rl.policy import MANIFEST, WEIGHTS, Policy, load_policy, make_policy, observed_frames, read_manifest
 from uavaccel.sim.lane import WIDTH_M
+from uavaccel.vision.dvs_sensor import BLOCK_SIDE, NEUTRAL_LEVEL
 
 if TYPE_CHECKING:
     from uavaccel.rl.network import QPolicy
-
-
-import json
-
-from uavaccel.envs.sensors import DEPTH_FAR_M, PICTURE_SIZE, SIZE
-from uavaccel.files import parse_json
-from uavaccel.vision.dvs_sensor import BLOCK_SIDE, NEUTRAL_LEVEL
 
 DEFAULT = "default"
 STRAIGHT = "straight"

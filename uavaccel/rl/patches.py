@@ -82,16 +82,8 @@ class Patches:
         count = len(row) * self.down * self.across
         patches = th.empty((count, self.numbers // 4), dtype=th.int64, device=row.device)
         threads = count * self._frames * KERNEL
-        self._kernel[grid(threads, THREADS)](
-            shared(row),
-            shared(lane),
-            shared(mirrored.byte()),
-            shared(self._levels),
-            shared(ring.view(th.int16)),
-            shared(patches),
-            self.down,
-            self.across,
-        )
+        tensors = row, lane, mirrored.byte(), self._levels, ring.view(th.int16), patches
+        self._kernel[grid(threads, THREADS)](*map(shared, tensors), self.down, self.across)
         return patches.view(LOW)
 
     def rate(self, network: QNetwork, patches: th.Tensor) -> th.Tensor:

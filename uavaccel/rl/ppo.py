@@ -307,12 +307,8 @@ class PPO:
         self._action.copy_(mean + self._log_deviation().exp() * th.randn_like(mean))
         for name, part in self._now.items():
             self._seen[name].index_copy_(0, self._step, part[None])
-        stored = (
-            (self._chosen, self._action),
-            (self._values, value),
-            (self._chances, self._chance(mean, self._action)),
-        )
-        for rows, row in stored:
+        chance = self._chance(mean, self._action)
+        for rows, row in ((self._chosen, self._action), (self._values, value), (self._chances, chance)):
             rows.index_copy_(0, self._step, row[None])
         self._step += 1
 

@@ -336,9 +336,11 @@ TRUNK_RATIO = 1.25  # a trunk's radius over a square post's half side: between i
 def apply_layout(model: mujoco.MjModel, data: mujoco.MjData, layout: LaneLayout) -> None:
     """Move the scene's obstacles and set its textures and light, in place.
 
-    Raises UserError if the scene has fewer obstacles than the layout, as all scenes but the lane do.
+    Raises UserError if the scene has fewer obstacles than the layout, and in all scenes but the lane.
     """
     geoms = obstacle_geoms(model)
+    if not len(geoms):
+        raise UserError("the scene is no lane, whose obstacles, light and wind a layout sets")
     if len(layout) > len(geoms):
         raise UserError(f"the layout has {len(layout)} obstacles, the scene {len(geoms)}: leave some out")
     used, parked = geoms[: len(layout)], geoms[len(layout) :]

@@ -231,21 +231,9 @@ def cast(
     mujoco.mj_kinematics(model, data)  # mj_step leaves the positions of the step's beginning
     count = len(directions)
     geoms, distance_m, normals = np.full(count, -1, np.int32), np.full(count, -1.0), np.zeros((count, 3))
-    cutoff = min(longest_m, mujoco.mjMAXVAL)
-    mujoco.mj_multiRay(
-        model,
-        data,
-        ned_to_mujoco(start_m),
-        ned_to_mujoco(directions).ravel(),
-        _GROUPS,
-        True,
-        -1 if exclude is None else model.body(exclude).id,
-        geoms,
-        distance_m,
-        normals.reshape(-1),
-        count,
-        cutoff,
-    )
+    without, cutoff = -1 if exclude is None else model.body(exclude).id, min(longest_m, mujoco.mjMAXVAL)
+    rays, found = (ned_to_mujoco(start_m), ned_to_mujoco(directions).ravel()), (geoms, distance_m, normals.reshape(-1))
+    mujoco.mj_multiRay(model, data, *rays, _GROUPS, True, without, *found, count, cutoff)
     missed = (geoms < 0) | (distance_m < 0) | (distance_m > longest_m)
     distance_m[missed], geoms[missed] = np.inf, -1
     return Hits(distance_m, geoms, mujoco_to_ned(normals))

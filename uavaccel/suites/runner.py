@@ -217,13 +217,6 @@ def _leave_in_worker(folder: str) -> None:
         _OPENED.pop(key)[-1].close()
 
 
-def _is_array(values: object) -> bool:
-    try:
-        return not np.asarray(values).dtype.hasobject
-    except ValueError:  # lists of different lengths
-        return False
-
-
 def fly_case(suite: AnySuite, config: Experiment, case: Case, opened: Opened) -> GameResult:
     """Fly a case, and add the host's time and load. Raises UserError where a custom suite's result is none."""
     game, host = timed(lambda: suite.fly(config, case, opened))
@@ -235,14 +228,20 @@ def fly_case(suite: AnySuite, config: Experiment, case: Case, opened: Opened) ->
             raise UserError(f"{where}: its row has to be a mapping, of no other case")
         if wrong := [name for name in game.row if not isinstance(name, str)]:
             raise UserError(f"{where}: its row has {wrong[0]!r} for a name, which has to be a text")
-        for name, values in (game.arrays or {}).items():
-            if not _is_array(values):
-                raise UserError(f"{where}: its array {name!r} is none, of numbers or texts")
         try:
             to_json({"row": game.row, "host": game.host})
         except (TypeError, ValueError) as error:
             raise UserError(f"{where}: its row is no JSON: {error}") from None
+        if not isinstance(game.arrays, Mapping) or not all(map(_is_array, game.arrays.values())):
+            raise UserError(f"{where}: its arrays have to be a mapping of numbers, in rows of equal length")
     return replace(game, host={**host, **game.host})
+
+
+def _is_array(value: object) -> bool:
+    try:
+        return not np.asarray(value).dtype.hasobject
+    except ValueError:  # rows of different lengths
+        return False
 
 
 # --- engines --------------------------------------------------------------------------------------------------------

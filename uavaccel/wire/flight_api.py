@@ -14,21 +14,8 @@ from typing import Annotated
 import numpy as np
 
 from uavaccel.kinematics import Kinematics, Vector
-from uavaccel.sim import flight as goals
+from uavaccel.sim import flight
 from uavaccel.sim.earth import GeoPoint, geographic, ned_of
-from uavaccel.sim.flight import (
-    AT_REST_M_S,
-    RATE_MODE,
-    STICKS,
-    VALID,
-    FollowPath,
-    Land,
-    MoveByManual,
-    RotateToYaw,
-    Sticks,
-    check_lookahead,
-)
-from uavaccel.sim.flight import facing as facing_along
 from uavaccel.sim.simulation import DeferredReply, Pilot
 from uavaccel.sim.vehicle.autopilot import POSITION, STRAIGHT_ON, THROTTLE, Goal, Yaw
 from uavaccel.units import euler_from_quaternion
@@ -63,7 +50,7 @@ class FlightApi(Calls, title="Flight"):
     def takeoff(self, timeout_sec: float, vehicle: VehicleName = "") -> Answer:
         """Climb 2 m. Raises ValueError while the vehicle moves."""
         now = (pilot := self._taken(vehicle)).kinematics()
-        if (speed := math.hypot(*now.linear_velocity_m_s)) > AT_REST_M_S:
+        if (speed := math.hypot(*now.linear_velocity_m_s)) > flight.AT_REST_M_S:
             raise ValueError(f"Cannot perform takeoff because vehicle is already moving with velocity {speed:f} m/s")
         north, east, down = now.position_m
         return self._fly_to(pilot, (north, east, down - TAKEOFF_M), TAKEOFF_M_S, timeout_sec)
@@ -71,7 +58,7 @@ class FlightApi(Calls, title="Flight"):
     @command("land")
     def land(self, timeout_sec: float, vehicle: VehicleName = "") -> Answer:
         """Sink at 0.2 m/s until the ground stops the vehicle."""
-        return self._taken(vehicle).start(Land(timeout_sec), self.wall_ns)
+        return self._taken(vehicle).start(flight.Land(timeout_sec), self.wall_ns)
 
     @command("goHome")
     def go_home(self, timeout_sec: float, vehicle: VehicleName = "") -> Answer:
@@ -130,9 +117,9 @@ class FlightApi(Calls, title="Flight"):
             return True
         if forward_only and yaw_mode.is_rate:
             raise ValueError("Yaw cannot be specified as rate if drivetrain is ForwardOnly")
-        ahead = check_lookahead(lookahead, velocity, adaptive_lookahead)
+        ahead = flight.check_lookahead(lookahead, velocity, adaptive_lookahead)
         points = np.array([pilot.kinematics().position_m, *path])
-        follow = FollowPath(points, velocity, timeout_sec, forward_only, yaw_mode, ahead, adaptive_lookahead)
+        follow = flight.FollowPath(points, velocity, timeout_sec, forward_only, yaw_mode, ahead, adaptive_lookahead)
         return pilot.start(follow, self.wall_ns)
 
     # --- to a heading -----------------------------------------------------------------------------
@@ -144,13 +131,13 @@ class FlightApi(Calls, title="Flight"):
         if timeout_sec <= 0:
             return True
         place_m, heading = pilot.kinematics().position_m, math.remainder(math.radians(yaw), 2 * math.pi)
-        return pilot.start(RotateToYaw(place_m, heading, math.radians(margin), timeout_sec), self.wall_ns)
+        return pilot.start(flight.RotateToYaw(place_m, heading, math.radians(margin), timeout_sec), self.wall_ns)
 
     @command("rotateByYawRate")
     def rotate_by_yaw_rate(self, yaw_rate: float, duration: Seconds, vehicle: VehicleName = "") -> Answer:
         """Turn at a rate in degrees per second without moving."""
         place_m = self.scenery.flying_pilot(vehicle).kinematics().position_m
-        return _fly(self, goals.position(place_m, Yaw(math.radians(yaw_rate))), duration, vehicle)
+        return _fly(self, flight.position(place_m, Yaw(math.radians(yaw_rate))), duration, vehicle)
 
     # --- by velocity ------------------------------------------------------------------------------
 
@@ -160,7 +147,7 @@ class FlightApi(Calls, title="Flight"):
         vehicle: VehicleName = "", exact: bool = False,
     ) -> Answer:  # fmt: skip
         """With `exact`, which our own client sends, refuse a duration that an exact profile's tick does not divide."""
-        goal = goals.velocity((vx, vy, vz), facing(vx, vy, drivetrain, yaw_mode))
+        goal = flight.velocity((vx, vy, vz), facing(vx, vy, drivetrain, yaw_mode))
         return fly_for(self.scenery.flying_pilot(vehicle), goal, duration, self.wall_ns, exact=exact)
 
     @command("moveByVelocityZ", leaves_state=True)
@@ -169,7 +156,7 @@ class FlightApi(Calls, title="Flight"):
         vehicle: VehicleName = "", exact: bool = False,
     ) -> Answer:  # fmt: skip
         """Fly at a height; for a duration of 0 this command alone returns False."""
-        goal = goals.velocity_z(vx, vy, z, facing(vx, vy, drivetrain, yaw_mode))
+        goal = flight.velocity_z(vx, vy, z, facing(vx, vy, drivetrain, yaw_mode))
         pilot = self.scenery.flying_pilot(vehicle)
         return fly_for(pilot, goal, duration, self.wall_ns, at_once=False, exact=exact)
 
@@ -180,7 +167,7 @@ class FlightApi(Calls, title="Flight"):
     ) -> Answer:  # fmt: skip
         """Fly in the frame of the vehicle's heading at the start of the command."""
         north, east = turned(self.scenery.flying_pilot(vehicle).kinematics(), vx, vy)
-        goal = goals.velocity((north, east, vz), facing(north, east, drivetrain, yaw_mode))
+        goal = flight.velocity((north, east, vz), facing(north, east, drivetrain, yaw_mode))
         return _fly(self, goal, duration, vehicle)
 
     @command("moveByVelocityZBodyFrame")
@@ -190,7 +177,7 @@ class FlightApi(Calls, title="Flight"):
     ) -> Answer:  # fmt: skip
         """Fly at a height in the frame of the vehicle's heading at the start of the command."""
         north, east = turned(self.scenery.flying_pilot(vehicle).kinematics(), vx, vy)
-        goal = goals.velocity_z(north, east, z, facing(north, east, drivetrain, yaw_mode))
+        goal = flight.velocity_z(north, east, z, facing(north, east, drivetrain, yaw_mode))
         return _fly(self, goal, duration, vehicle)
 
     @command("moveByManual")
@@ -203,7 +190,7 @@ class FlightApi(Calls, title="Flight"):
         if duration <= 0:
             return True
         begun_at = pilot.kinematics().orientation_wxyz
-        task = MoveByManual(pilot.sticks, vx_max, vy_max, z_min, duration, forward_only, yaw_mode, begun_at)
+        task = flight.MoveByManual(pilot.sticks, vx_max, vy_max, z_min, duration, forward_only, yaw_mode, begun_at)
         return pilot.start(task, self.wall_ns)
 
     # --- in common --------------------------------------------------------------------------------
@@ -216,8 +203,8 @@ class FlightApi(Calls, title="Flight"):
 
     def _fly_to(self, pilot: Pilot, place: Vector, velocity_m_s: float, timeout_s: float) -> Answer:
         points = np.array([pilot.kinematics().position_m, place])
-        ahead = check_lookahead(AUTO_LOOKAHEAD, velocity_m_s, ADAPTIVE)
-        follow = FollowPath(points, velocity_m_s, timeout_s, False, STRAIGHT_ON, ahead, ADAPTIVE)
+        ahead = flight.check_lookahead(AUTO_LOOKAHEAD, velocity_m_s, ADAPTIVE)
+        follow = flight.FollowPath(points, velocity_m_s, timeout_s, False, STRAIGHT_ON, ahead, ADAPTIVE)
         return pilot.start(follow, self.wall_ns)
 
 
@@ -238,7 +225,7 @@ def fly_for(
 
 def facing(north: float, east: float, drivetrain: float, yaw_mode: Yaw) -> Yaw:
     """Return the yaw goal for a horizontal direction of travel (MultirotorApiBase::adjustYaw)."""
-    return facing_along((north, east, 0.0), drivetrain == FORWARD_ONLY, yaw_mode)
+    return flight.facing((north, east, 0.0), drivetrain == FORWARD_ONLY, yaw_mode)
 
 
 def turned(now: Kinematics, ahead: float, right: float) -> tuple[float, float]:
@@ -256,15 +243,15 @@ def gains(value: object, name: str) -> Vector:
     return a, b, c
 
 
-def sticks(value: object, name: str) -> Sticks:
+def sticks(value: object, name: str) -> flight.Sticks:
     """The sticks in an RCData."""
     if not isinstance(value, Mapping):
         raise ValueError(f"{name} must be a map, not {type(value).__name__}")
-    positions = np.zeros(STICKS)
+    positions = np.zeros(flight.STICKS)
     for index, stick in enumerate(STICK_NAMES):
         positions[index] = number(value.get(stick, 0.0), stick)
-    positions[RATE_MODE] = int(number(value.get("switches", 0), "switches")) & 1
-    positions[VALID] = flag(value.get("is_valid", False), "is_valid")
+    positions[flight.RATE_MODE] = int(number(value.get("switches", 0), "switches")) & 1
+    positions[flight.VALID] = flag(value.get("is_valid", False), "is_valid")
     return positions
 
 
@@ -283,7 +270,7 @@ def _by_angles(name: str, yaw_is_rate: bool, z_mode: int) -> Callable[..., Answe
         self: Calls, roll: float, pitch: float, yaw: float, z: float, duration: Seconds,
         vehicle: VehicleName = "",
     ) -> Answer:  # fmt: skip
-        return _fly(self, goals.attitude(roll, pitch, Yaw(yaw, yaw_is_rate), z, z_mode), duration, vehicle)
+        return _fly(self, flight.attitude(roll, pitch, Yaw(yaw, yaw_is_rate), z, z_mode), duration, vehicle)
 
     return move
 
@@ -296,7 +283,7 @@ def _by_rates(name: str, z_mode: int) -> Callable[..., Answer]:
         self: Calls, roll_rate: float, pitch_rate: float, yaw_rate: float, z: float, duration: Seconds,
         vehicle: VehicleName = "",
     ) -> Answer:  # fmt: skip
-        return _fly(self, goals.body_rates(roll_rate, pitch_rate, yaw_rate, z, z_mode), duration, vehicle)
+        return _fly(self, flight.body_rates(roll_rate, pitch_rate, yaw_rate, z, z_mode), duration, vehicle)
 
     return move
 
@@ -328,18 +315,19 @@ class AttitudeApi(Calls, title="Flight"):
         self, front_right_pwm: float, rear_left_pwm: float, front_left_pwm: float, rear_right_pwm: float,
         duration: Seconds, vehicle: VehicleName = "",
     ) -> Answer:  # fmt: skip
-        goal = goals.motors(front_right_pwm, rear_left_pwm, front_left_pwm, rear_right_pwm)
+        goal = flight.motors(front_right_pwm, rear_left_pwm, front_left_pwm, rear_right_pwm)
         return _fly(self, goal, duration, vehicle)
 
     @call("moveByRC")
-    def move_by_rc(self, rcdata: Annotated[Sticks, sticks], vehicle: VehicleName = "") -> None:
+    def move_by_rc(self, rcdata: Annotated[flight.Sticks, sticks], vehicle: VehicleName = "") -> None:
         """Set the sticks, which fly the vehicle while API control is off, and in moveByManual."""
         self.scenery.flying_pilot(vehicle).move_sticks(rcdata)
 
 
-def rc_data_map(sticks: Sticks) -> dict[str, object]:
+def rc_data_map(sticks: flight.Sticks) -> dict[str, object]:
     """Return the RCData of a vehicle, whose sticks are those of moveByRC."""
     moved = dict(zip(STICK_NAMES, sticks[: len(STICK_NAMES)].tolist(), strict=True))
     axes = {name: moved.get(name, 0.0) for name in ("pitch", "roll", "throttle", "yaw", "left_z", "right_z")}
-    how = {"switches": int(sticks[RATE_MODE]), "vendor_id": "", "is_initialized": (valid := bool(sticks[VALID]))}
-    return {"timestamp": 0, **axes, **how, "is_valid": valid}
+    valid = bool(sticks[flight.VALID])
+    how = {"switches": int(sticks[flight.RATE_MODE]), "vendor_id": "", "is_initialized": valid, "is_valid": valid}
+    return {"timestamp": 0, **axes, **how}

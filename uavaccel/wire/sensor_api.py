@@ -10,42 +10,27 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from uavaccel.sim.sensors import (
-    AirSimKeys,
-    Barometer,
-    BarometerSettings,
-    DistanceSensor,
-    DistanceSettings,
-    Gps,
-    GpsSettings,
-    Imu,
-    ImuSettings,
-    Lidar,
-    LidarSettings,
-    Magnetometer,
-    MagnetometerSettings,
-    Truth,
-)
+from uavaccel.sim import sensors
 from uavaccel.wire import types
 from uavaccel.wire.calls import Calls, Scenery, call
 from uavaccel.wire.settings import SensorSettings
 from uavaccel.wire.types import VehicleName
 
 Kind = TypeVar("Kind")
-SENSORS: dict[type[AirSimKeys], Callable[[Any, int, str], object]] = {
-    ImuSettings: Imu,
-    BarometerSettings: Barometer,
-    MagnetometerSettings: Magnetometer,
-    GpsSettings: Gps,
-    DistanceSettings: DistanceSensor,
-    LidarSettings: Lidar,
+SENSORS: dict[type[sensors.AirSimKeys], Callable[[Any, int, str], object]] = {
+    sensors.ImuSettings: sensors.Imu,
+    sensors.BarometerSettings: sensors.Barometer,
+    sensors.MagnetometerSettings: sensors.Magnetometer,
+    sensors.GpsSettings: sensors.Gps,
+    sensors.DistanceSettings: sensors.DistanceSensor,
+    sensors.LidarSettings: sensors.Lidar,
 }
 """The class of sensors for each kind of settings; it takes these, a noise seed and a name."""
 DEFAULTS: dict[str, SensorSettings] = {
-    "imu": ImuSettings(),
-    "magnetometer": MagnetometerSettings(),
-    "gps": GpsSettings(),
-    "barometer": BarometerSettings(),
+    "imu": sensors.ImuSettings(),
+    "magnetometer": sensors.MagnetometerSettings(),
+    "gps": sensors.GpsSettings(),
+    "barometer": sensors.BarometerSettings(),
 }
 
 
@@ -81,9 +66,9 @@ class SensorApi(Calls, title="Sensors"):
             raise ValueError(f"No {word} with name {name} exist on vehicle; {there}")
         return found
 
-    def _truth(self, vehicle: str) -> Truth:
+    def _truth(self, vehicle: str) -> sensors.Truth:
         profile, world = self.simulation.profile, self.simulation.world
-        return Truth(
+        return sensors.Truth(
             self.scenery.truth(vehicle),
             profile.tick_s,
             world.tick * profile.tick_s,
@@ -98,7 +83,7 @@ class SensorApi(Calls, title="Sensors"):
     @call("getImuData")
     def imu(self, name: object = "", vehicle: VehicleName = "") -> dict[str, object]:
         truth = self._truth(vehicle)
-        reading = self._named(Imu, "imu", name, vehicle).read(truth)
+        reading = self._named(sensors.Imu, "imu", name, vehicle).read(truth)
         return {
             "time_stamp": self._stamp(),
             "orientation": types.quaternion_map(truth.kinematics.orientation_wxyz),
@@ -108,7 +93,7 @@ class SensorApi(Calls, title="Sensors"):
 
     @call("getBarometerData")
     def barometer(self, name: object = "", vehicle: VehicleName = "") -> dict[str, object]:
-        reading = self._named(Barometer, "barometer", name, vehicle).read(self._truth(vehicle))
+        reading = self._named(sensors.Barometer, "barometer", name, vehicle).read(self._truth(vehicle))
         return {
             "time_stamp": self._stamp(),
             "altitude": reading.altitude_m,
@@ -119,7 +104,7 @@ class SensorApi(Calls, title="Sensors"):
     @call("getMagnetometerData")
     def magnetometer(self, name: object = "", vehicle: VehicleName = "") -> dict[str, object]:
         """Return the field in the body's frame; AirSim never fills the covariance."""
-        field = self._named(Magnetometer, "magnetometer", name, vehicle).read(self._truth(vehicle))
+        field = self._named(sensors.Magnetometer, "magnetometer", name, vehicle).read(self._truth(vehicle))
         return {
             "time_stamp": self._stamp(),
             "magnetic_field_body": types.vector_map(field),
@@ -129,7 +114,7 @@ class SensorApi(Calls, title="Sensors"):
     @call("getGpsData")
     def gps(self, name: object = "", vehicle: VehicleName = "") -> dict[str, object]:
         """Return the position fix; `time_utc` is in microseconds."""
-        reading = self._named(Gps, "gps", name, vehicle).read(self._truth(vehicle))
+        reading = self._named(sensors.Gps, "gps", name, vehicle).read(self._truth(vehicle))
         gnss = {
             "geo_point": types.geo_map(reading.place),
             "eph": reading.eph_m,
@@ -142,7 +127,7 @@ class SensorApi(Calls, title="Sensors"):
 
     @call("getDistanceSensorData")
     def distance(self, name: object = "", vehicle: VehicleName = "") -> dict[str, object]:
-        sensor = self._named(DistanceSensor, "distance sensor", name, vehicle)
+        sensor = self._named(sensors.DistanceSensor, "distance sensor", name, vehicle)
         world = self.simulation.world
         return {
             "time_stamp": self._stamp(),
@@ -155,7 +140,7 @@ class SensorApi(Calls, title="Sensors"):
     @call("getLidarData")
     def lidar(self, name: object = "", vehicle: VehicleName = "") -> dict[str, object]:
         """Return x, y, z of all points in one list; a single 0 stands for no points, as in AirSim."""
-        sensor = self._named(Lidar, "lidar", name, vehicle)
+        sensor = self._named(sensors.Lidar, "lidar", name, vehicle)
         world = self.simulation.world
         scan = sensor.read(self._truth(vehicle), world.model, world.data)
         points_m, carrier = scan.points_m, self.scenery.vehicle(vehicle)

@@ -144,10 +144,6 @@ def finite(given: Pose) -> Pose:
     return given
 
 
-def finite_pose(value: object, name: str) -> Pose:
-    return finite(pose(value, name))
-
-
 def point(value: Received, name: str) -> GeoPoint | Vector:
     """A GeoPoint on the Earth, or a Vector3r in metres of the world, which scripts send in its place."""
     if isinstance(value, Mapping) and "x_val" in value:
@@ -177,6 +173,6 @@ VehicleName = Annotated[str, lambda value, _: str(value)]  # the call itself ref
 Coordinate = Annotated[float, coordinate]
 Vector3r = Annotated[Vector, vector]
 AnyPose = Annotated[Pose, pose]
-FinitePose = Annotated[Pose, finite_pose]
+FinitePose = Annotated[Pose, lambda value, name: finite(pose(value, name))]
 Point = Annotated[GeoPoint | Vector, point]
 YawMode = Annotated[Yaw, yaw_mode]
