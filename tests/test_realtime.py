@@ -181,6 +181,21 @@ def test_an_observation_fits_before_any_action_too(low: float, high: float, boun
     assert space.contains(env.step(one(high))[0])
 
 
+@pytest.mark.parametrize(
+    ("reward", "said"),
+    [(np.array([1.5]), ""), (None, "not None"), (np.ones(2), r"not array\(\[1., 1.\]\)"), ({}, "not {}")],
+)
+def test_rewards_are_numbers_alone_or_in_an_array(reward: Any, said: str) -> None:
+    env = RealTime(Counting(), 0.0)
+    env.reset(seed=0)
+    env.unwrapped.step = lambda action: (np.ones(1, np.float32), reward, False, False, {})  # type: ignore[method-assign]
+    if not said:
+        assert env.step(one(0.5))[1] == 1.5
+        return
+    with pytest.raises(UserError, match=f"^Counting: its reward must be a number, {said}$"):
+        env.step(one(0.5))
+
+
 # --- thinking times -------------------------------------------------------------------------------
 
 

@@ -33,6 +33,14 @@ def copied(action: Action) -> Action:
     return action.copy() if type(action) is np.ndarray else deepcopy(action)
 
 
+def reward_of(env: gymnasium.Env[Any, Any], reward: Any) -> float:
+    """Return a step's reward, which an array may hold. Raises UserError for what is no number."""
+    try:
+        return float(reward.item() if isinstance(reward, np.ndarray) else reward)
+    except (TypeError, ValueError):
+        raise UserError(f"{type(env.unwrapped).__name__}: its reward must be a number, not {reward!r}") from None
+
+
 class Passed(NamedTuple):
     """The result of some ticks: Gymnasium's five values, with the sum of the rewards, and how many ticks passed."""
 
@@ -122,7 +130,7 @@ class Plant:
         while True:
             count = min(ticks - passed, self.period_ticks)
             observation, reward, terminated, truncated, info = self._part(copied(action), count)
-            total, passed = total + float(reward) * count / self.period_ticks, passed + count
+            total, passed = total + reward_of(self._env, reward) * count / self.period_ticks, passed + count
             if passed == ticks or terminated or truncated:
                 return Passed(observation, total, terminated, truncated, info, passed)
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from uavaccel.errors import UserError
 from uavaccel.realtime.control_loop import Command, ControlLoop, Extras, LoopOptions
-from uavaccel.realtime.plant import HasWallClock, HasWallClocks, plant_of, refuse_real_time_in
+from uavaccel.realtime.plant import HasWallClock, HasWallClocks, plant_of, refuse_real_time_in, reward_of
 from uavaccel.realtime.thinking import (
     LATENCY_S,
     Drawn,
@@ -125,7 +125,7 @@ class RealTime(gymnasium.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         info["wall_s"], info["simulated_s"] = self._wall_ns / NS_PER_S, self._ticks * self._tick_s
         observation = self._extras.told(observation, info, age_s, loop)
         self.thinking.observed()
-        return observation, float(reward), terminated, truncated, info
+        return observation, reward_of(self.env, reward), terminated, truncated, info
 
     def _thinking_time(self, latency_s: object, delay_steps: object) -> ThinkingTime:
         if delay_steps is None:
@@ -146,7 +146,7 @@ class RealTime(gymnasium.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         info = {**info, "thinking_s": thinking_ns / NS_PER_S, "meanwhile_s": age_s}
         observation = self._extras.told(observation, info, age_s, None)
         self.thinking.observed()
-        return observation, float(reward), terminated, truncated, info
+        return observation, reward_of(self.env, reward), terminated, truncated, info
 
 
 def check_clocks(inside: Any, options: LoopOptions) -> None:

@@ -398,7 +398,7 @@ def key_of(name: str) -> str:
 
 def value_text(value: object) -> str:
     """Return a value as names, tables and figures have it: 3, 0.15, noisy."""
-    return f"{value:g}" if isinstance(value, int | float) and not isinstance(value, bool) else str(value)
+    return f"{value + 0.0:g}" if isinstance(value, int | float) and not isinstance(value, bool) else str(value)
 
 
 def parse_sweep(text: str) -> tuple[str, list[object]]:
