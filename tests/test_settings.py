@@ -60,6 +60,8 @@ def test_defaults_are_airsims(tmp_path: Path) -> None:
     ({"EnableRpc": False}, "EnableRpc = False"),
     ({"PhysicsEngineName": "ExternalPhysicsEngine"}, "PhysicsEngineName"),
     ({"Vehicles": {"A": {"VehicleType": "PX4Multirotor"}}}, "Vehicles.A.VehicleType = 'PX4Multirotor'"),
+    ({"Vehicles": {"A": {"VehicleType": "ComputerVision"}}},
+     "Vehicles.A.VehicleType = 'ComputerVision' needs SimMode = 'ComputerVision'"),
     ({"Vehicles": {"A": {"X": "near"}}}, "Vehicles.A.X = 'near'"),
     ({"Recording": {"RecordInterval": 1e300}}, "Recording.RecordInterval = 1e+300: must be 0, or between 1e-12"),
     ({"DefaultSensors": {"eye": {"SensorType": 6, "UpdateFrequency": 1e308}}}, "DefaultSensors.eye.UpdateFrequency"),

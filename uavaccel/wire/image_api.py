@@ -24,7 +24,7 @@ from uavaccel.sim.clutter import Clutter, ClutterLayout, sample_world
 from uavaccel.sim.lane import Difficulty, LaneLayout, layout_from, sample_layout
 from uavaccel.sim.poses import Pose
 from uavaccel.wire import types
-from uavaccel.wire.calls import Calls, call, without_effect
+from uavaccel.wire.calls import Calls, Scenery, call, without_effect
 from uavaccel.wire.pictures import NARROWEST_DEG, SCENE, WIDEST_DEG, CameraMount, Cameras, Pixels, known_type
 from uavaccel.wire.rpc import MAX_ANSWER_BYTES, Received, bulk_bytes
 from uavaccel.wire.types import AnyPose, Truthy, VehicleName, whole
@@ -41,11 +41,9 @@ class CameraApi(Calls, title="Cameras and images"):
     def info(self, camera_name: object, vehicle: VehicleName = "", external: Truthy = False) -> dict[str, object]:
         """Return the pose in NED, the field of view in degrees, and the projection of NED centimetres."""
         mounted = self._named(camera_name, vehicle, external)
-        kinematics, lens = self.scenery.truth(vehicle), mounted.lens(SCENE)
-        eye = mounted.eye(Pose(kinematics.position_m, kinematics.orientation_wxyz))
-        local = eye._replace(position_m=self.scenery.vehicle(vehicle).local(eye.position_m))
+        eye, lens = told_pose(mounted, self.scenery, self.scenery.truth(vehicle)), mounted.lens(SCENE)
         matrix = {"matrix": projection(lens).tolist()}
-        return {"pose": types.pose_map(local), "fov": lens.fov_deg, "proj_mat": matrix}
+        return {"pose": types.pose_map(eye), "fov": lens.fov_deg, "proj_mat": matrix}
 
     @call("simSetCameraPose")
     def set_pose(self, camera_name: object, pose: AnyPose, vehicle: VehicleName = "", external: Truthy = False) -> None:
@@ -97,6 +95,14 @@ class CameraApi(Calls, title="Cameras and images"):
             refused=NO_LENS,
         ),
     )
+
+
+def told_pose(camera: CameraMount, scenery: Scenery, vehicle: Kinematics) -> Pose:
+    """Return a camera's pose in its carrier's frame or, of an external one, NED from the player's start."""
+    eye = camera.eye(Pose(vehicle.position_m, vehicle.orientation_wxyz))
+    if camera.external:
+        return eye
+    return eye._replace(position_m=scenery.simulation.world.vehicles[camera.carrier].local(eye.position_m))
 
 
 def projection(lens: Lens) -> NDArray[np.float64]:
@@ -175,13 +181,12 @@ class ImageApi(Calls, title="Cameras and images"):
                 self.scenery.say_once("simGetImages: images of types 8 and 9 (optical flow) are empty")
         else:
             image = (pictures.floats if as_float else pictures.rgb)(camera, image_type)
-        eye = camera.eye(Pose(kinematics.position_m, kinematics.orientation_wxyz))
-        carrier = self.simulation.world.vehicles[camera.carrier]
+        eye = told_pose(camera, self.scenery, kinematics)
         data = b"" if as_float or message else png(image) if compress else image[..., ::-1].tobytes()
         return {
             "image_data_uint8": data,
             "image_data_float": image.ravel() if as_float else [],
-            "camera_position": types.vector_map(carrier.local(eye.position_m)),
+            "camera_position": types.vector_map(eye.position_m),
             "camera_name": name,
             "camera_orientation": types.quaternion_map(eye.orientation_wxyz),
             "time_stamp": types.stamp(kinematics.time_ns),

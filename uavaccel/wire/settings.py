@@ -126,6 +126,15 @@ class Settings(AirSimKeys):
     sensor_seed: Annotated[int, Field(ge=0)] = 0
     """The seed of the sensors' noise, which is our own key."""
 
+    @model_validator(mode="after")
+    def _flyable(self) -> Self:
+        """Refuse vehicles that are only cameras where vehicles fly: AirSim does not create those."""
+        for name, vehicle in self.created():
+            if vehicle.vehicle_type.lower() == COMPUTER_VISION.lower() and not self.flightless:
+                kind = vehicle.vehicle_type
+                raise ValueError(f"Vehicles.{name}.VehicleType = '{kind}' needs SimMode = '{COMPUTER_VISION}'")
+        return self
+
     @property
     def vehicle(self) -> str:
         """The default vehicle's name: the alphabetically first one, or the one with IsFpvVehicle."""
