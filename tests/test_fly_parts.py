@@ -344,6 +344,27 @@ def test_a_refusal_after_the_flight_is_ignored() -> None:
         signal.signal(signal.SIGUSR2, handled)
 
 
+def test_what_has_moved_since_a_refusal_does_not_wait_for_it() -> None:
+    """It waits where it stands, for PATIENT_POLLS, in Python's own modules, and nothing is called meanwhile."""
+
+    def at(place: int, module: str = "multiprocessing.pool") -> Any:
+        return SimpleNamespace(f_globals={"__name__": module}, f_lasti=place)
+
+    calls, (waiting, moving, own) = [0], (at(1), at(2), at(3, "script"))
+    many = environment.PATIENT_POLLS + 1
+    with environment.ended_by_refusals(lambda: calls[0]):
+        poll: Any = signal.getsignal(signal.SIGALRM)
+        frames = [at(place) for place in range(2 * many)]
+        for frame in [*frames, *[own] * many, *[waiting] * (many - 1), own, *[waiting] * (many - 1), moving, moving]:
+            poll(0, frame)
+        for calls[0] in range(2 * many):
+            poll(0, waiting)
+        for _ in range(many - 2):
+            poll(0, waiting)
+        with pytest.raises(UserError, match="the script waits for it"):
+            poll(0, waiting)
+
+
 def test_a_forked_process_logs_and_compares_nothing(tmp_path: Path) -> None:
     """Its parent writes the lines that it has a copy of."""
     for name in ("first", "second"):

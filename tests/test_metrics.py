@@ -455,6 +455,15 @@ def test_beyond_what_can_be_counted_ways_are_drawn() -> None:
     assert sign_flip_p([1.0] * 15 + [-1.0] * 5) == pytest.approx(2 * stats.binom(20, 0.5).cdf(5), abs=0.002)
 
 
+def test_another_seed_draws_other_ways_where_not_all_are_counted(monkeypatch: pytest.MonkeyPatch) -> None:
+    values = np.random.default_rng(0).random(11)
+    for p in (lambda seed: permutation_p(values[:5], values[5:], seed), lambda seed: sign_flip_p(values - 0.4, seed)):
+        with monkeypatch.context() as patch:
+            assert len({p(seed) for seed in range(5)}) == 1
+            patch.setattr("uavaccel.metrics.intervals.MOST_EXACT", 100)
+            assert len({p(seed) for seed in range(5, 10)}) > 1
+
+
 def test_what_was_seen_is_one_of_the_ways_that_are_drawn() -> None:
     """200 000 draws meet nothing as rare: p is never 0."""
     assert permutation_p(np.arange(20), 100 + np.arange(20)) == 1 / 200_001

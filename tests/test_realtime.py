@@ -385,6 +385,15 @@ def test_real_time_in_real_time_and_thinking_times_that_fall_are_refused() -> No
         lognormal(0.2, 0.1)
 
 
+@pytest.mark.parametrize("space", [spaces.Discrete(2, start=1), spaces.MultiBinary(2)])
+def test_actions_that_do_not_stack_are_named(space: spaces.Space[Any]) -> None:
+    inside: Any = Counting()
+    inside.action_space = space
+    said = f"^chunk: actions of a {type(space).__name__} do not stack; use chunk=1$"
+    with pytest.raises(UserError, match=said):
+        RealTime(inside, 0.1, default_action=space.sample(), chunk=2)
+
+
 # --- the drone, and the machine's own clock -------------------------------------------------------
 
 

@@ -114,6 +114,7 @@ def test_an_evaluation_whose_row_does_not_repeat_is_not_shown(lanes: RunDirector
     row = lanes.rows()[0]
     for changed, said in (
         ({"wall_s": 1.0}, "wall_s"),
+        ({"of_another_version": 1}, "of_another_version"),
         ({"actions": row["actions"][:-1]}, "actions"),
         ({"actions": [*row["actions"], 0]}, "actions"),
     ):
