@@ -74,6 +74,8 @@ def test_one_that_grows_is_in_the_way_and_is_hit_by_its_name(wire: AirSimWire) -
     wire.call("simSetVehiclePose", pose(30.0, 30.0, -23.04), False, "")
     wire.fly(0.01)
     assert wire.call("simGetCollisionInfo", "")["object_name"] == name
+    wire.call("reset")
+    assert wire.call("simGetCollisionInfo", "")["object_name"] == ""
 
 
 TREES = """<mujoco><include file="quadrotor.xml"/><worldbody>

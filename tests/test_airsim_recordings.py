@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from tests.airsim_wire import AirSimWire
-from tests.flying import pose
+from tests.flying import point, pose
 from uavaccel.errors import UserError
 from uavaccel.sim.profile import NATIVE
 from uavaccel.sim.world import World
@@ -134,6 +134,8 @@ def test_on_move_what_turns_has_moved(tmp_path: Path) -> None:
     rows = [line.split("\t")[2:9] for line in file.read_text().splitlines()[1:]]
     assert len(rows) == 2
     assert rows[0][:3] == rows[1][:3]
+    wire.call("simSetVehiclePose", pose(20.0, 0.0, 3.0), False, "")
+    assert wire.call("simGetVehiclePose", "")["position"] == point(20.0, 0.0, 3.0), "below the ground it looks too"
 
 
 @pytest.mark.parametrize(("image", "reason"), [

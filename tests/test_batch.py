@@ -151,8 +151,9 @@ def test_lanes_answer_by_themselves_until_one_dies(monkeypatch: pytest.MonkeyPat
     """
     monkeypatch.delenv("MUJOCO_GL", raising=False)
     monkeypatch.setattr(gl, "_first_that_works", lambda: None)
-    batch = EnvironmentBatch(ObstacleLane, 3, 2, observation="state", timing="virtual")
-    with closing(batch), singles(2, observation="state", timing="virtual") as alone:
+    task: dict[str, Any] = {"observation": "state", "timing": "virtual", "max_commands": 2}
+    batch = EnvironmentBatch(ObstacleLane, 3, 2, **task)
+    with closing(batch), singles(2, **task) as alone:
         with pytest.raises(UserError, match="reset the environment"):
             batch.step([2, 2, 2])
         batch.reset(seed=1)
@@ -164,7 +165,11 @@ def test_lanes_answer_by_themselves_until_one_dies(monkeypatch: pytest.MonkeyPat
         batch.call_each("charge", [(0.5, "learning")], slots=[1])
         states = batch.call_each("get_state", [()] * 3)
         np.testing.assert_array_equal(alone[1].set_state(states[1]), batch.observations()[1])
-        assert alone[1].step(2)[0].tobytes() == batch.step([2, 2, 2])[0][1].tobytes()
+        last = alone[1].step(2)[0].tobytes()
+        for _ in range(2):
+            seen, _, _, cut, _ = batch.step([2, 2, 2])
+            assert (seen[1].tobytes(), cut[1]) == (last, True)
+            batch.call_each("set_state", [(states[1],)], slots=[1])  # of a game that has ended
         os.kill(batch.process_ids[0], signal.SIGKILL)
         with pytest.raises(BatchError, match=r"^the process of environment 2 ended with status -9$"):
             batch.call_each("get_state", [()], slots=[2])

@@ -215,9 +215,15 @@ def test_refuses_what_it_cannot_draw(appearance: Appearance) -> None:
         with pytest.raises(UserError, match=says):
             read_appearance(mujoco.MjModel.from_xml_path(str(asset(f"mjcf/{scene}.xml"))))
     lane = mujoco.MjModel.from_xml_path(str(asset("mjcf/lane.xml")))
-    lane.vis.headlight.ambient[:] = 0.1
-    with pytest.raises(UserError, match="headlight"):
-        read_appearance(lane)
+    for numbers, wrong, says in (
+        (lane.tex_height, lane.tex_height // 2, "^texture .* squares with sides of a power of two$"),
+        (lane.tex_nchannel, 4, "^texture .* linear red, green and blue$"),
+        (lane.vis.headlight.ambient, 0.1, "headlight"),
+    ):
+        right, numbers[:] = numbers.copy(), wrong
+        with pytest.raises(UserError, match=says):
+            read_appearance(lane)
+        numbers[:] = right
 
 
 # --- as a GPU's threads draw, column by column and quad by quad ----------------------------------------------------

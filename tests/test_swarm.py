@@ -103,7 +103,9 @@ def test_each_is_told_where_the_others_are_until_they_are_gone() -> None:
 
 @needs_opengl
 def test_a_camera_sees_the_drone_in_front_of_it() -> None:
+    """And what is in front of its own when another, which is at its goal from the first, has left."""
     options = IN_LINE | {"starts_m": [[0.0, 0.0, -5.0], [2.0, 0.0, -5.0], [0.0, 30.0, -5.0]]}
+    options["goals_m"] = [options["starts_m"][0], *IN_LINE["goals_m"][1:]]
     with closing(Swarm(drones=3, observation="depth", also_state=True)) as drones:
         seen, _ = drones.reset(options=options)
         assert seen["drone_0"]["image"].shape == (1, 36, 64)
@@ -112,6 +114,11 @@ def test_a_camera_sees_the_drone_in_front_of_it() -> None:
         rows, columns = np.nonzero((ahead - behind)[:, 20:44] > 20)  # a level is 20 cm; further aside are buildings
         assert set(rows.tolist()) == {17, 18}
         assert (columns.min(), columns.max()) == (6, 17)
+        for _ in range(2):
+            later = drones.step(dict.fromkeys(drones.agents, STAY))[0]
+        assert list(later) == ["drone_1", "drone_2"]
+        for agent, now in later.items():
+            assert np.abs(now["image"].astype(int) - seen[agent]["image"]).mean() < 1.0
 
 
 class Slow(SwarmTask):
