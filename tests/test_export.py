@@ -214,7 +214,7 @@ def test_each_format_is_written_where_it_was_asked_for(
     monkeypatch.setattr("uavaccel.suites.report.write_tables", tables)
     monkeypatch.setattr("uavaccel.export.write_minari", dataset)
     export(str(tmp_path / "run"), csv=tmp_path / "a", parquet=tmp_path / "b")
-    assert capsys.readouterr().out.splitlines() == ["run: a as csv", "run: b as parquet"]
+    assert capsys.readouterr().out.splitlines() == ["run: b as parquet", "run: a as csv"]
     monkeypatch.chdir(tmp_path)
     export("run", minari=Path("lane-v0"))
     told = [f"{done}/25 games" for done in (3, 5, 8, 10, 13, 15, 18, 20, 23, 25)]
