@@ -132,7 +132,7 @@ def test_too_many_obstacles_and_other_scenes_are_refused(lane_scene: Scene) -> N
     blocks = mujoco.MjModel.from_xml_path(str(asset("mjcf/blocks.xml")))
     assert len(obstacle_geoms(lane_scene[0])) == MAX_OBSTACLES
     assert len(obstacle_geoms(blocks)) == 0
-    with pytest.raises(UserError, match="^the scene is no lane, whose obstacles, light and wind a layout sets$"):
+    with pytest.raises(UserError, match=r"^the scene is no lane, whose obstacles, light and wind a layout sets$"):
         apply_layout(blocks, mujoco.MjData(blocks), sample_layout(0))
 
 

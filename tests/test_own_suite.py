@@ -285,6 +285,8 @@ class Wrong(Own):
     ("flown = lambda self, case: GameResult({1: 2})", "its row has 1 for a name"),
     ("cases = lambda self, config: None", "own: cases returned a NoneType"),
     ("cases = lambda self, config: [{'id': 'a'}]", "own: cases has a dict without id, timing, simulated_s"),
+    ("cases = lambda self, config: [SimpleCase('a', 'never', 1.0)]", "own: a has the timing 'never': should be wall"),
+    ("cases = lambda self, config: [SimpleCase('a', 'virtual', float('nan'))]", "own: a takes nan simulated s"),
     ("open = lambda self, *_: 3; flown = lambda self, case: GameResult({})", "own: open returned a int"),
     ("flown = lambda self, case: GameResult({}); summary = lambda self, report: 1", "summary returned a int"),
     ("flown = lambda self, case: GameResult({}); page = lambda self, report: 1 / 0", "Wrong.<lambda>: ZeroDivision"),

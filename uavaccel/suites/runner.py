@@ -8,6 +8,7 @@ DASK_SCHEDULER_ADDRESS) a local one of this machine's processes is started, on l
 from __future__ import annotations
 
 import atexit
+import math
 import os
 import threading
 from collections import Counter
@@ -17,7 +18,7 @@ from dataclasses import replace
 from functools import partial
 from itertools import groupby, islice
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 
@@ -29,7 +30,7 @@ from uavaccel.processes.lifetime import remove_orphaned_files, work_for_parent
 from uavaccel.processes.workers import LOKY, Delayed, check_count, on_this_machine
 from uavaccel.records import RunDirectory
 from uavaccel.resources import require
-from uavaccel.suites.experiment import Experiment, disturbances, timed, timing_of
+from uavaccel.suites.experiment import Experiment, Timing, disturbances, timed, timing_of
 from uavaccel.suites.registry import own_folder, suite_of
 from uavaccel.suites.suite import AnySuite, Case, GameResult, OnGame, Opened
 from uavaccel.wire.rpc import ServerGoneError
@@ -59,16 +60,14 @@ def check_jobs(suite: AnySuite, config: Experiment, jobs: int, engine: str = LOK
 
 
 def cases_of(suite: AnySuite, config: Experiment) -> list[Case]:
-    """Return all cases. Raises UserError for none or too many, for equal names, those that files cannot have, and for
-    what is no case."""
+    """Return all cases. Raises UserError for none or too many, equal names, names no file can have, and no cases."""
     with errors_named(files_of(type(suite))):
         made = suite.cases(config)
         if not isinstance(made, Iterable):
             raise UserError(f"{suite.name}: cases returned a {type(made).__name__}, not cases")
         cases = list(islice(made, MOST_GAMES + 1))
     for case in cases:
-        if lacking := [name for name in ("id", "timing", "simulated_s") if not hasattr(case, name)]:
-            raise UserError(f"{suite.name}: cases has a {type(case).__name__} without {', '.join(lacking)}")
+        _check_case(suite, case)
     if not cases:
         raise UserError(f"{suite.name}: there is no game to fly: cases is empty")
     if len(cases) > MOST_GAMES:
@@ -79,6 +78,16 @@ def cases_of(suite: AnySuite, config: Experiment) -> list[Case]:
         if count > 1:
             raise UserError(f"{suite.name}: two cases are called {name!r}")
     return cases
+
+
+def _check_case(suite: AnySuite, case: Any) -> None:
+    """Raise UserError for what is no case of a suite, on no clock, or of no time."""
+    if lacking := [name for name in ("id", "timing", "simulated_s") if not hasattr(case, name)]:
+        raise UserError(f"{suite.name}: cases has a {type(case).__name__} without {', '.join(lacking)}")
+    if case.timing not in (known := get_args(Timing)):
+        raise UserError(f"{suite.name}: {case.id} has the timing {case.timing!r}: should be {', '.join(known)}")
+    if not 0 <= case.simulated_s() < math.inf:
+        raise UserError(f"{suite.name}: {case.id} takes {case.simulated_s()} simulated s: should be at least 0")
 
 
 def start_run(
