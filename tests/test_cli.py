@@ -385,6 +385,16 @@ def test_an_interrupted_run_says_which_command_goes_on(suite: str | None, comman
         raise KeyboardInterrupt
 
 
+def test_an_interrupted_command_says_so() -> None:
+    """One that resumes nothing; Typer by itself makes a status of it, and no word."""
+    program = (
+        "from signal import SIGINT, raise_signal; from uavaccel.cli import experiments, main; "
+        "experiments.report_runs = lambda *_: raise_signal(SIGINT); main.main(['run', '--report', 'runs'])"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, check=False)
+    assert (done.returncode, done.stdout, done.stderr) == (130, b"", b"uavaccel: interrupted\n")
+
+
 def test_set_has_the_last_word_over_an_option() -> None:
     request = RunRequest("dp1", {"clock_speed": [5.0, 10.0], "games": 3}, ["games=4", "clock_speed.1=20"])
     config = configure(request)[1]

@@ -15,7 +15,7 @@ from typing import Any
 import pytest
 
 from tests.processes import descendants, left_after, state_of
-from uavaccel.processes import lifetime
+from uavaccel.processes import lifetime, workers
 from uavaccel.processes.forks import Forks
 from uavaccel.processes.stalls import IDLE_POLLS, STOPPED_POLLS, StallDetector, cpu_time_s
 
@@ -67,6 +67,17 @@ def test_one_whose_parent_was_killed_before_ends_at_once() -> None:
         command = [sys.executable, "-c", CHILD, str(started_by)]
         done = subprocess.run(command, stdout=subprocess.PIPE, check=False, timeout=60)
         assert (done.returncode, done.stdout) == (-signal.SIGKILL, b"")
+
+
+def test_a_worker_does_not_hear_ctrl_c_before_it_is_bound_to_its_parent(monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupted(parent: int) -> None:
+        signal.raise_signal(signal.SIGINT)
+        lifetime.work_for_parent(parent)
+
+    monkeypatch.setattr(workers, "work_for_parent", interrupted)
+    blocked: workers.Delayed = (signal.pthread_sigmask, (signal.SIG_BLOCK, ()), {})
+    assert list(workers.on_this_machine(2, 1, [blocked])) == [set()]  # nor is it deaf to its own any more
+    assert signal.pthread_sigmask(signal.SIG_BLOCK, ()) == set()
 
 
 @pytest.mark.parametrize(

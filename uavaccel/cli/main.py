@@ -64,6 +64,12 @@ class Surface(TyperGroup):
             raise UsageError(f"{args[0]}: is now uavaccel {MOVED[args[0]]}")
         return super().resolve_command(ctx, args)
 
+    def invoke(self, ctx: Any) -> Any:
+        try:
+            return super().invoke(ctx)
+        except KeyboardInterrupt:  # of which Typer makes a status alone
+            raise typer.Abort from None
+
 
 def _add(command: Callable[..., None], group: typer.Typer, settings: dict[str, Any] | None = None, **how: Any) -> None:
     """Add a command; the first line of its docstring is what lists of commands say of it."""

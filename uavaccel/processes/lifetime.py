@@ -150,11 +150,29 @@ def lost_interrupts_repeated() -> Iterator[None]:
         sys.unraisablehook = before
 
 
+@contextmanager
+def interrupts_kept_from_children() -> Iterator[None]:
+    """Keep Ctrl-C from the processes that this thread, and threads begun by it, start, until `work_for_parent`."""
+    if not hasattr(signal, "pthread_sigmask"):  # on Windows
+        yield
+        return
+    from multiprocessing import resource_tracker
+
+    resource_tracker.ensure_running()  # whose start would end this in Python 3.11
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
 def work_for_parent(parent: int) -> None:
     """End with the parent, and leave Ctrl-C to it. Call it in the main thread; a second call does nothing."""
     if os.getpid() not in _BOUND:
         _BOUND.add(os.getpid())
         signal.signal(signal.SIGINT, signal.SIG_IGN)
+        if hasattr(signal, "pthread_sigmask"):  # for the processes that it starts
+            signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
         end_with_parent(parent)
 
 

@@ -9,7 +9,7 @@ from typing import Any
 
 from uavaccel.errors import UsageError, UserError
 from uavaccel.machine import usable_cores
-from uavaccel.processes.lifetime import work_for_parent
+from uavaccel.processes.lifetime import interrupts_kept_from_children, work_for_parent
 from uavaccel.units import whole
 
 LOKY = "loky"
@@ -37,8 +37,10 @@ def on_this_machine(jobs: int, batch: int, calls: Iterable[Delayed]) -> Iterator
     bound = {"initializer": work_for_parent, "initargs": (os.getpid(),)}
     with parallel_config(backend=LOKY, inner_max_num_threads=1, **bound):
         ahead = f"{batch}*n_jobs"  # a longer queue would delay an interruption
-        results = Parallel(jobs, return_as="generator", pre_dispatch=ahead, batch_size=batch)(calls)
+        results: Any = None
         try:
+            with interrupts_kept_from_children():  # while they import, before they leave Ctrl-C to this process
+                results = Parallel(jobs, return_as="generator", pre_dispatch=ahead, batch_size=batch)(calls)
             for result in results:  # noqa: UP028  `yield from` would close them before, and loudly
                 yield result
         except TerminatedWorkerError:
@@ -46,6 +48,7 @@ def on_this_machine(jobs: int, batch: int, calls: Iterable[Delayed]) -> Iterator
                 "a worker process was killed, by its user or for memory; go on with --resume, perhaps with fewer --jobs"
             ) from None
         finally:
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore")  # of calls that an interruption cancels
-                results.close()
+            if results is not None:
+                with warnings.catch_warnings():
+                    warnings.simplefilter("ignore")  # of calls that an interruption cancels
+                    results.close()

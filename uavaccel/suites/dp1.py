@@ -31,6 +31,7 @@ from uavaccel.errors import UserError
 from uavaccel.forms import Count, Number, Positive, check
 from uavaccel.metrics.intervals import median_interval, speedup_interval
 from uavaccel.metrics.trajectory import Trajectory, command_gaps_s, distinct, mean_position_rmse
+from uavaccel.processes.workers import on_this_machine
 from uavaccel.records import RunDirectory, timing_provenance
 from uavaccel.sim.profile import PROFILES
 from uavaccel.sim.recording import RECORDED
@@ -175,14 +176,14 @@ class Dp1(PathSuite[Dp1Config, Game]):
 
     def score(self, report: Report) -> pd.DataFrame:
         """Add each game's SCORES. Raises UserError for a run that has flown nothing but Figure 2 yet."""
-        from joblib import Parallel, cpu_count, delayed
+        from joblib import cpu_count, delayed
 
         games = report.games[report.games.role != "figure2"].sort_values([*CELL, "game"], kind="stable")
         if not len(games):
             raise UserError(f"{report.run.path}: has no games but those of Figure 2 yet; go on with --resume")
         paths = sorted((path for _, path in finished(games).groupby(PATH)), key=lambda path: -path.duration_s.sum())
         jobs = min(cpu_count(), MOST_JOBS) if len(games) >= PARALLEL_FROM_GAMES else 1
-        scored = Parallel(jobs, batch_size=1)(delayed(score_path)(report.run, path) for path in paths)
+        scored = on_this_machine(jobs, 1, (delayed(score_path)(report.run, path) for path in paths))
         cells = [cell for of_path in scored for cell in of_path]
         found = pd.concat(cells) if cells else pd.DataFrame(columns=SCORES, dtype=float)
         return games[games.role != "lockstep"].join(found)
