@@ -29,6 +29,7 @@ class Flight(Config):
     camera: Camera = Camera()
     wind_m_s: tuple[float, float, float] = (0.0, 0.0, 0.0)
     games: int
+    code: str = Field("a", pattern="^[a-c]+$")
 
     @field_validator("games")
     @classmethod
@@ -85,6 +86,7 @@ def test_a_valid_mapping_becomes_a_frozen_configuration() -> None:
         ({"games": "2"}, "my.yaml: games = '2': should be a valid integer"),
         ({"games": True}, "my.yaml: games = True: should be a valid integer"),
         ({"games": 3}, "my.yaml: games = 3: should be even"),
+        ({"games": 2, "code": "x"}, "my.yaml: code = 'x': should match pattern '^[a-c]+$'"),
         ({"games": 13}, "my.yaml: thirteen games bring bad luck"),
         ({"games": 2, "path": [[1, 0], [0, "n"]]}, "my.yaml: path.1.1 = 'n': should be a valid number"),
         ({"games": 2, "clock_speeds": [NAN]}, "my.yaml: clock_speeds.0 = nan: should be a finite number"),
@@ -179,7 +181,7 @@ def test_to_yaml_is_stable_readable_and_reads_back() -> None:
     flight = Flight(games=2, camera=Camera(rate_hz=1e-3))
     assert to_yaml(flight) == (
         "suite: flight\nclock_speeds: [1.0, 50.0]\ncommand: tcsc\npath: square\n"
-        "camera:\n  rate_hz: 0.001\nwind_m_s: [0.0, 0.0, 0.0]\ngames: 2\n"
+        "camera:\n  rate_hz: 0.001\nwind_m_s: [0.0, 0.0, 0.0]\ngames: 2\ncode: a\n"
     )
     assert validate(Flight, parse_yaml(to_yaml(flight), source="text"), source="text") == flight
 

@@ -293,8 +293,8 @@ def _wanted(error: ErrorDetails) -> str:
         count = limits["min_length"] if kind == "too_short" else limits["max_length"]
         number = "one value" if count == 1 else f"{count} values"
         return f"needs at least {number}" if kind == "too_short" else f"may have at most {number}"
-    if kind == "string_pattern_mismatch":
-        return _PATTERN_WORDS[limits["pattern"]]
+    if kind == "string_pattern_mismatch" and (words := _PATTERN_WORDS.get(limits["pattern"])):
+        return words
     return _YAML_WORDS.get(
         kind, error["msg"].removeprefix("Value error, ").removeprefix("Input ").removeprefix("String ")
     )
