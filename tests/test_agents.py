@@ -402,40 +402,49 @@ def test_an_onnx_file_gives_the_actions_clipped(outputs: str, sign: int, batch: 
         configured("evaluate", agent="model.onnx")
 
 
+NAVIGATE: dict[str, Any] = {"env_id": "uavaccel/Navigate-v0", "algorithm": "ppo", "options": {"minibatches": 2}}
+
+
 @pytest.mark.usefixtures("onnx")
 @pytest.mark.parametrize(
-    "task",
+    ("task", "beside", "keys"),
     [
-        {"history": 2, "knows": ["last_action"], "headings_deg": [-30.0, 0.0, 30.0]},
-        {"observation": "depth"},
-        {"observation": "colour", "picture_size": [33, 17]},
+        ({"history": 2, "knows": ["last_action"], "headings_deg": [-30.0, 0.0, 30.0]}, ["told"], {}),
+        ({"observation": "depth"}, [], {}),
+        ({"observation": "colour", "picture_size": [33, 17]}, [], {}),
+        ({"also_state": True, "knows": ["frame_age"]}, ["told", "state"], {"mirror": False}),
+        ({"observation": "dvs", "also_state": True}, ["state"], NAVIGATE),
     ],
-    ids=["dvs", "depth", "colour"],
+    ids=["dvs", "depth", "colour", "state", "actions"],
 )
-def test_a_policy_that_was_exported_flies_as_the_policy_does(task: dict[str, Any]) -> None:
+def test_a_policy_that_was_exported_flies_as_the_policy_does(
+    task: dict[str, Any], beside: list[str], keys: dict[str, Any]
+) -> None:
     """Its file takes whole pictures and reduces them itself; it says what it flies."""
     Path("policy").mkdir()
-    config = tiny_config(task)
+    config = tiny_config(task, **keys)
     export_policy(Path("policy"), make_policy(config), config, {})
     policy = load_policy(Path("policy"))
     about, written = write_onnx(policy, Path("model.onnx")), OnnxFile("model.onnx")
     assert about == written.metadata
     names = [[each.name for each in part()] for part in (written._session.get_inputs, written._session.get_outputs)]
-    assert names == [["seen", "told"][: 1 + ("knows" in task)], ["ratings", "action"]]
+    assert names == [["seen", *beside], ["action"] if keys is NAVIGATE else ["ratings", "action"]]
     evaluation, usual = (configured("evaluate", agent=agent) for agent in ("model.onnx", "policy"))
     assert evaluation.task == usual.task
-    seen = np.random.default_rng(0).integers(0, 256, (9, *config.task.observation_space().shape), np.uint8)
+    random = np.random.default_rng(0)
+    seen: Any = random.integers(0, 256, (9, *config.task.frames_space().shape), np.uint8)
+    if "state" in beside:
+        seen = {"image": seen, "state": random.normal(size=(9, config.task.told)).astype(np.float32)}
     agent = make_agent("model.onnx", evaluation.task)
     assert isinstance(agent, BatchAgent)
-    np.testing.assert_array_equal(agent.act_on(seen), policy.act(seen))
+    np.testing.assert_allclose(agent.act_on(seen), policy.act(seen), rtol=1e-5, atol=1e-5)
 
 
 @pytest.mark.usefixtures("onnx")
 def test_a_policy_of_pictures_of_another_kind_is_refused() -> None:
     """Depth and events have one form."""
     Path("policy").mkdir()
-    keys: dict[str, Any] = {"env_id": "uavaccel/Navigate-v0", "algorithm": "ppo", "options": {"minibatches": 2}}
-    config = tiny_config(**keys)
+    config = tiny_config(**NAVIGATE)
     export_policy(Path("policy"), make_policy(config), config, {})
     write_onnx(load_policy(Path("policy")), Path("model.onnx"))
     for agent, said in (("policy", "with other observations or actions"), ("model.onnx", "model.onnx .* with 'depth'")):

@@ -91,7 +91,7 @@ def test_a_module_of_pytorch_acts_on_batches_of_one(env: Space, kind: str) -> No
         with th.no_grad():
             answer = module(tensors.get("", tensors))[0].numpy()
         expected = 2 + answer.argmax() if env is PICK else np.clip(answer, -0.5, 0.5)
-        np.testing.assert_array_equal(action, expected)
+        np.testing.assert_allclose(action, expected, atol=1e-6)  # onnxruntime adds in another order
         assert env.action_space.contains(policy(seen))
 
 

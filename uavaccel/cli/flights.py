@@ -205,7 +205,8 @@ def export(
             about = write_onnx(load_policy(policy_folder(source)), onnx)
             headings = about.get("headings_deg")
             actions = f"headings of {headings} degrees" if headings else f"shares of {json.loads(about['action'])}"
-            console.print(f"{onnx}: seen: {about['seen']}; actions: {actions}")
+            seen = "; ".join(f"{name}: {about[name]}" for name in ("seen", "state") if name in about)
+            console.print(f"{onnx}: {seen}; actions: {actions}")
         written: list[Iterable[Path]] = []
         if csv is not None or parquet is not None:
             from uavaccel.suites.report import write_tables

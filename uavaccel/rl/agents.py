@@ -348,8 +348,9 @@ class OnnxAgentFile(AgentFile):
         (what, own, of_task), *actions = super().forms(task)
         if self._reduces(task):
             planes, told = _planes(task)
-            whole = (planes, *task.picture_size[::-1])
-            of_task = f"seen {whole}, told {(told, *SIZE)}" if told else str(whole)
+            parts = {"seen": (planes, *task.picture_size[::-1]), "state": (task.told,), "told": (told, *SIZE)}
+            forms = {name: str(form) for name, form in parts.items() if form[0]}
+            of_task = ", ".join(f"{name} {form}" for name, form in forms.items()) if len(forms) > 1 else forms["seen"]
         yield what, own, of_task
         yield from actions
 
@@ -378,16 +379,22 @@ def block_side(task: Task) -> int:
     return BLOCK_SIDE if task.picture_size == PICTURE_SIZE else 1
 
 
-def _whole(task: Task, observations: NDArray[Any]) -> dict[str, NDArray[Any]]:
+def _whole(task: Task, observations: Any) -> dict[str, NDArray[Any]]:
     """Return the inputs of an exported file, whole pictures, that it reduces to `observations`."""
+    if task.also_state:
+        return {**_whole_pictures(task, observations["image"]), "state": observations["state"]}
+    return _whole_pictures(task, observations)
+
+
+def _whole_pictures(task: Task, frames: NDArray[Any]) -> dict[str, NDArray[Any]]:
     (planes, told), side = _planes(task), block_side(task)
-    levels: NDArray[Any] = observations[:, :planes].astype(np.float32)
+    levels: NDArray[Any] = frames[:, :planes].astype(np.float32)
     if task.observation == "dvs":
         levels = (levels - NEUTRAL_LEVEL) / side**2
     elif task.observation == "depth":
         levels = levels * (DEPTH_FAR_M / 255)
     seen = levels.repeat(side, axis=2).repeat(side, axis=3)
-    return {"seen": seen, "told": observations[:, planes:].astype(np.float32)} if told else {"seen": seen}
+    return {"seen": seen, "told": frames[:, planes:].astype(np.float32)} if told else {"seen": seen}
 
 
 def metadata_of(env_id: str, task: Task) -> dict[str, str]:

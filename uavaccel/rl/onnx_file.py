@@ -17,7 +17,6 @@ from torch.nn.functional import avg_pool2d
 
 from uavaccel.envs.sensors import DEPTH_FAR_M, SIZE
 from uavaccel.envs.task import Task
-from uavaccel.errors import UserError
 from uavaccel.files import replacing
 from uavaccel.resources import require
 from uavaccel.rl.agents import block_side, metadata_of
@@ -36,6 +35,7 @@ TOLD = (
     "a context plane of each thing that `knows` names, in that order, (n, planes, 36, 64), 0 to 255, 128 where there "
     "is nothing to show"
 )
+BESIDE = "what the task tells beside pictures, (n, {}), float32, as the environment gives it"
 
 
 class OnnxPolicy(nn.Module):
@@ -46,17 +46,20 @@ class OnnxPolicy(nn.Module):
         self.policy, self.turned, self.algorithm = policy.network, policy.turned, policy.config.algorithm
         self.task = policy.config.task
 
-    def forward(self, seen: th.Tensor, told: th.Tensor | None = None) -> tuple[th.Tensor, ...]:
-        """Return ratings (n, actions) and actions (n,) for pictures `seen` and context planes `told`, if it has any.
+    def forward(self, seen: th.Tensor, *beside: th.Tensor) -> tuple[th.Tensor, ...]:
+        """Return ratings (n, actions) and actions (n,) for pictures `seen` and what a policy has `beside` them.
 
-        Of a policy with continuous actions these are the actions (n, size) alone.
+        These are context planes, then the state, as `input_names` names them. Of a policy with continuous actions
+        these are the actions (n, size) alone.
         """
         levels = reduced(seen, self.task)
-        levels = levels if told is None else th.cat([levels, told], dim=1)
+        if self.task.context_planes():
+            levels = th.cat([levels, beside[0]], dim=1)
+        parts = {"image": levels, "state": beside[-1]} if self.task.also_state else {"seen": levels}
         if self.algorithm == PPO:
-            return (self.policy.act_on({"seen": levels}),)
+            return (self.policy.act_on(parts),)
         if self.algorithm == DOUBLE_DQN:
-            ratings = self.policy.values(levels, self.turned)
+            ratings = self.policy.values(parts if self.task.also_state else levels, self.turned)
         else:
             from uavaccel.rl.baseline import tensor_ratings
 
@@ -77,10 +80,11 @@ def reduced(seen: th.Tensor, task: Task) -> th.Tensor:
 
 
 def write_onnx(policy: Policy, path: Path) -> dict[str, str]:
-    """Write the file; returns its metadata. Raises UserError without onnxscript."""
+    """Write the file; returns its metadata. Raises errors.UserError without onnxscript."""
     require("onnxscript", "--onnx", "onnx")
-    inputs = example(policy)
-    names = ["seen", "told"][: len(inputs)]
+    inputs, names = example(policy), input_names(policy.config.task)
+    batch = {0: th.export.Dim("n", min=1)}
+    beside = (batch,) * (len(inputs) - 1)
     logging.getLogger("torch.onnx").setLevel(logging.ERROR)  # it tells of packages that it could do with
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of torch's exporter about itself
@@ -89,7 +93,7 @@ def write_onnx(policy: Policy, path: Path) -> dict[str, str]:
             inputs,
             input_names=names,
             output_names=["action"] if policy.config.algorithm == PPO else ["ratings", "action"],
-            dynamic_shapes=[{0: th.export.Dim("n", min=1)}] * len(inputs),
+            dynamic_shapes=(batch, beside) if beside else (batch,),
             dynamo=True,
             verbose=False,
         )
@@ -100,18 +104,21 @@ def write_onnx(policy: Policy, path: Path) -> dict[str, str]:
     return about
 
 
+def input_names(task: Task) -> list[str]:
+    """Return the names of a file's inputs."""
+    return ["seen", *(["told"] if task.context_planes() else []), *(["state"] if task.also_state else [])]
+
+
 def example(policy: Policy) -> tuple[th.Tensor, ...]:
     """Make example inputs, a batch of 2, from which the exporter takes the shapes."""
     task = policy.config.task
-    if task.also_state:
-        raise UserError("also_state: a policy that observes a mapping cannot be exported as ONNX")
-    shape = task.observation_space().shape
+    shape = task.frames_space().shape
     if task.observation == "state":
         return (th.zeros(2, *shape),)
     planes = observed_frames(task) * CHANNELS[task.observation]
+    beside = {"told": (shape[0] - planes, *SIZE), "state": (task.told,)}
     seen = th.zeros(2, planes, *task.picture_size[::-1])
-    told = shape[0] - planes
-    return (seen, th.zeros(2, told, *SIZE)) if told else (seen,)
+    return seen, *(th.zeros(2, *beside[name]) for name in input_names(task)[1:])
 
 
 def described(policy: Policy) -> dict[str, str]:
@@ -121,10 +128,13 @@ def described(policy: Policy) -> dict[str, str]:
     flight = (kind, "speed_m_s", "altitude_m", "t_move_s", "t_sample_s")
     given, keys = task.model_dump(mode="json"), (*flight, "command", "dvs_preset", "knows")
     about = {key: json.dumps(given[key]) for key in keys if key in given}
-    told = {"told": TOLD} if task.context_planes() else {}
-    return {
+    inputs = {
         "seen": INPUTS[task.observation].format(*task.picture_size[::-1]),
-        **told,
+        "told": TOLD,
+        "state": BESIDE.format(task.told),
+    }
+    return {
+        **{name: inputs[name] for name in input_names(task)},
         **about,
         **metadata_of(policy.config.env_id, task),
         "trained": json.dumps(dict(policy.manifest.get("trained", {})), sort_keys=True),
