@@ -7,7 +7,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import astuple, replace
 from numbers import Integral, Real
-from typing import Any, TypeVar, get_args
+from typing import Any, NoReturn, TypeVar, get_args
 
 import numpy as np
 from gymnasium import spaces
@@ -38,6 +38,14 @@ def make_task(task_class: type[TaskT], keys: Mapping[str, object], name: str) ->
         if unknown:
             raise UnexpectedKeyword(f"{error} (got an unexpected keyword argument {unknown[0]!r})") from error
         raise
+
+
+def refuse_copy(environment: object) -> NoReturn:
+    """Refuse to be copied or pickled, as `__getstate__`."""
+    then = "set_state(what get_state returns)" if hasattr(environment, "set_state") else "reset(seed=the same)"
+    raise UserError(
+        f"{type(environment).__name__}: what flies cannot be copied or pickled: make another of its keys and {then}"
+    )
 
 
 def check_render_mode(render_mode: object) -> str | None:
