@@ -280,6 +280,11 @@ def test_a_file_without_one_task_is_one_line(file: str, line: str, here: Path, s
     ("def fields(self, state, course): return course.pop('aim_m')", "Post.fields: changes the course that it is"),
     ("scene = 'lane'\n    def layout(self, course): return {'obstacles': [{'x': 1}]}",
      "Post.layout: lane: unknown key 'obstacles.0.x'"),
+    *[(f"def {signature}: return __import__('numpy').random.random()", f"Post.{name}: called again with the same,")
+      for name, signature in {
+          "reward": "reward(self, before, now)", "fields": "fields(self, state, course)",
+          "sample": "sample(self, random, options)"
+      }.items()],
     ("def layout(self, course): return {'obstacles': []}", "Post.layout: a layout is of obstacles, light"),
 ])  # fmt: skip
 def test_a_function_with_a_mistake_is_named(function: str, line: str, here: Path, said: Callable[[str], str]) -> None:
