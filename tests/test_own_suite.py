@@ -148,6 +148,19 @@ def test_a_suite_in_a_package_is_imported_from_above_it(here: Path, monkeypatch:
     assert folder_of(type(find_suite("dp1", "dp1.yaml"))) is None
 
 
+def test_of_modules_of_one_name_a_run_means_that_of_its_folder(here: Path) -> None:
+    """Whichever folders other runs have noted before."""
+    folders = [here / "one", here / "other"]
+    for folder in folders:
+        folder.mkdir()
+        (folder / "toy.py").write_text(BLOCKS["python"])
+        with trusting(beside=folder):
+            assert folder_of(type(find_suite("toy:Toy", "toy.yaml"))) == folder
+    for folder in (*folders, folders[0]):
+        look_also_in(str(folder))
+        assert folder_of(type(find_suite("toy:Toy", "toy.yaml"))) == folder
+
+
 FOREIGN = """
 from pathlib import Path
 Path("ran").touch()
