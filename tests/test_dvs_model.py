@@ -150,8 +150,9 @@ def test_leak_jitters_by_its_fraction_and_anew_in_each_frame() -> None:
     assert abs(np.corrcoef(falls[0].ravel(), falls[1].ravel())[0, 1]) < 0.03
 
 
-@pytest.mark.parametrize(("level", "dt_s"), [(0, 0.02), (0, 0.1), (100, 0.1), (255, 0.1)])
+@pytest.mark.parametrize(("level", "dt_s"), [(0, 0.02), (0, 0.1), (0, 0.8), (100, 0.1), (255, 0.1)])
 def test_shot_noise_falls_with_brightness_and_is_on_as_often_as_off(level: int, dt_s: float) -> None:
+    """Also where most pixels have both in one frame."""
     sensor = dvs.make_sensor(replace(EXACT, shot_noise_rate_hz=2.0), SHAPE, seed=0)
     _, on, off = dvs.step(sensor, dvs.init_state(sensor, grey(level)), grey(level), dt_s)
     expected = PIXELS * 2.0 / 2 * dt_s * (1 - 0.75 * (level + 20) / 275)
