@@ -349,11 +349,19 @@ def dp2_game(*overrides: str) -> tuple[Any, dict[str, NDArray[Any]]]:
 
 
 @needs_opengl
-def test_dp2_counts_between_its_samples_and_flies_as_ever() -> None:
-    """An ADSC game, whose samples come late: after a frame of the grid, and in between."""
+def test_dp2_counts_between_its_samples_and_flies_as_ever(monkeypatch: pytest.MonkeyPatch) -> None:
+    """An ADSC game, whose samples come late: at a frame of the grid, which is seen once, and in between."""
     row, arrays = dp2_game()
+    process, seen_ns = EventCounter.process_frame, list[int]()
+
+    def process_frame(counter: EventCounter, frame: NDArray[np.uint8], time_ns: int) -> None:
+        seen_ns.append(time_ns)
+        process(counter, frame, time_ns)
+
+    monkeypatch.setattr(EventCounter, "process_frame", process_frame)
     watched_row, watched = dp2_game("dvs_rate_hz=50")
     assert watched_row == row
+    assert seen_ns == sorted({*seen_ns})
     on, off = watched.pop("dvs_on"), watched.pop("dvs_off")
     assert {name: each.tobytes() for name, each in watched.items()} == {
         name: array.tobytes() for name, array in arrays.items()
