@@ -224,6 +224,8 @@ def test_refuses_what_it_cannot_draw(appearance: Appearance) -> None:
         with pytest.raises(UserError, match=says):
             read_appearance(lane)
         numbers[:] = right
+    lane.geom("wall_east").group = 3
+    assert len(read_appearance(lane).fixed) == 2, "the ground and a wall: what is hidden is not drawn, nor the drone"
 
 
 # --- as a GPU's threads draw, column by column and quad by quad ----------------------------------------------------
