@@ -18,15 +18,18 @@ from tests.host_kernels import host_kernels  # noqa: F401 - a fixture
 from tests.lanes import assert_close
 from tests.learning import side_by_side, train_into
 from tests.running import configured, fly_into
+from uavaccel import make
 from uavaccel.config import validate
 from uavaccel.envs.hover import Hover
+from uavaccel.envs.navigate import NavigateTask
+from uavaccel.envs.task import SIZES, Mirror, mirror_of
 from uavaccel.errors import UserError
 from uavaccel.records import RunDirectory
 from uavaccel.rl.adapters import TensorLoop
 from uavaccel.rl.learner import first_seed
 from uavaccel.rl.onnx_file import OnnxPolicy, described, example
 from uavaccel.rl.policy import load_policy, trained_with
-from uavaccel.rl.ppo import PPO, ActorCritic, FirstLayer, PPOOptions, PPOTraining, blocks
+from uavaccel.rl.ppo import PPO, ActorCritic, FirstLayer, PPOOptions, PPOTraining, Turn, blocks
 from uavaccel.suites.evaluate import Evaluation
 from uavaccel.suites.evaluate_again import environment_of, fly_again
 from uavaccel.suites.runner import run_suite, start_run
@@ -36,19 +39,21 @@ WANTED = np.array([0.5, -0.3])
 
 
 class Toy:
-    """Games of a few steps, in which the action near WANTED is best; the picture shows the game's sign.
+    """Games of a few steps, in which the action near WANTED is best, times the game's sign.
 
-    Those of the first `cut` environments are truncated.
+    The picture is bright on the left if it is 1. Games of the first `cut` environments are truncated.
     """
 
     def __init__(
-        self, count: int = 16, steps: int = 4, observation: Any = None, cut: int = 0, actions: Any = None
-    ) -> None:
+        self, count: int = 16, steps: int = 4, observation: Any = None, cut: int = 0, actions: Any = None,
+        signs: tuple[float, ...] = (-1.0, 1.0), mirrored: Mirror | None = None,
+    ) -> None:  # fmt: skip
         self.num_envs, self._steps, self.cut = count, steps, np.arange(count) < cut
         self.single_action_space = spaces.Box(-1.0, 1.0, (2,), np.float32) if actions is None else actions
         picture = spaces.Box(0, 255, (1, 12, 12), np.uint8)
         both = spaces.Dict({"image": picture, "state": spaces.Box(-np.inf, np.inf, (1,), np.float32)})
         self.single_observation_space: Any = both if observation is None else observation
+        self._signs, self.task = signs, type("Symmetric", (), {"mirrored": mirrored, "observation": ""})()
         self.flown: list[np.ndarray] = []
         self.rewards: list[np.ndarray] = []
 
@@ -57,9 +62,8 @@ class Toy:
         return self._show(), {}
 
     def _show(self) -> Any:
-        self._sign = self._random.choice((-1.0, 1.0), self.num_envs).astype(np.float32)
-        image = np.where(self._sign > 0, 200, 50).astype(np.uint8)[:, None, None, None] * np.ones((1, 12, 12), np.uint8)
-        return {"image": image, "state": self._sign[:, None]}
+        self._sign = self._random.choice(self._signs, self.num_envs).astype(np.float32)
+        return {"image": np.stack(list(map(picture, self._sign))), "state": self._sign[:, None]}
 
     def step(self, actions: np.ndarray) -> tuple[Any, ...]:
         self.flown.append(actions.copy())
@@ -71,23 +75,34 @@ class Toy:
         return self._show(), reward, over & ~self.cut, over & self.cut, infos
 
 
+def picture(sign: float) -> np.ndarray:
+    left_bright = np.repeat(np.array([200, 50], np.uint8), 6) * np.ones((1, 12, 1), np.uint8)
+    return left_bright if sign > 0 else left_bright[..., ::-1]
+
+
 def options(**keys: Any) -> PPOOptions:
     return PPOOptions(
         **{"rollout": 16, "minibatches": 4, "channels": (4,), "hidden": (32,), "learning_rate": 3e-3} | keys
     )
 
 
-@pytest.mark.parametrize("keys", [{}, {"precision": "bfloat16", "divergence": 0.02}], ids=str)
-def test_it_learns_actions_from_a_picture_beside_a_state(keys: dict[str, Any]) -> None:
-    env = Toy()
+LEFT_ALONE = {"signs": (1.0,), "mirrored": Mirror((-1,), (-1, -2))}
+
+
+@pytest.mark.parametrize(
+    ("keys", "seen"), [({}, {}), ({"precision": "bfloat16", "divergence": 0.02}, LEFT_ALONE)], ids=str
+)
+def test_it_learns_actions_from_a_picture_beside_a_state(keys: dict[str, Any], seen: dict[str, Any]) -> None:
+    """Of a task that says how it is mirrored, what it sees on the left teaches what to do on the right."""
+    env = Toy(**seen)
     ppo = PPO(env, options(commands=16 * 16 * 60, **keys))
     rounds = list(ppo.learn())
     assert rounds[-1].commands == ppo.commands == 16 * 16 * 60
     assert rounds[0].games == 16 * 4
     assert rounds[-1].reward > rounds[0].reward / 5
     assert rounds[-1].won > rounds[0].won
-    for sign, grey in ((1.0, 200), (-1.0, 50)):
-        seen = {"image": np.full((1, 1, 12, 12), grey, np.uint8), "state": np.full((1, 1), sign, np.float32)}
+    for sign in (1.0, -1.0):
+        seen = {"image": picture(sign)[None].copy(), "state": np.full((1, 1), sign, np.float32)}
         np.testing.assert_allclose(ppo.policy.act(seen)[0].numpy(), sign * WANTED, atol=0.15)
 
 
@@ -98,7 +113,7 @@ def test_each_option_changes_what_is_learned_as_recorded() -> None:
         "clip": 0.01, "value_weight": 4.0, "entropy_weight": 0.5, "max_grad_norm": 0.01, "first_deviation": 0.2,
         "final_deviation": 0.1, "divergence": 0.001, "half_contrast": 3.0, "channels": (2, 3), "hidden": (), "seed": 5,
     }  # fmt: skip
-    assert set(moved) | {"commands", "precision"} == set(PPOOptions.model_fields), "each option has a case"
+    assert set(moved) | {"commands", "precision", "mirror"} == set(PPOOptions.model_fields), "each option has a case"
     told: dict[str, list[float]] = {}
     for label, keys in {"defaults": {}, **{f"{name} {value}": {name: value} for name, value in moved.items()}}.items():
         env: Any = Toy(cut=5)
@@ -116,6 +131,8 @@ def test_each_option_changes_what_is_learned_as_recorded() -> None:
 @pytest.mark.parametrize("shape", [(8, 36, 64), (3, 35, 63), (1, 6, 5)], ids=str)
 def test_blocks_are_convolved_to_what_pictures_are(shape: tuple[int, ...]) -> None:
     layer, seen = FirstLayer(shape[0], 4), th.rand(2, *shape)
+    turn = Turn(Mirror((), (1,)), {"image": spaces.Box(0, 255, shape, np.uint8)}, 1, th.device("cpu"))
+    assert th.equal(turn.seen("image", blocks(seen), True), blocks(turn.seen("image", seen, False)))
     np.testing.assert_allclose(
         layer(blocks(seen).permute(0, 3, 1, 2)).detach(), layer(seen).detach(), atol=1e-5, strict=True
     )
@@ -163,12 +180,42 @@ def test_levels_are_seen_as_what_they_show(sees: str, half: float, levels: list[
     np.testing.assert_allclose(seen[0].numpy(), expected, atol=1e-6)
 
 
+@pytest.mark.parametrize("action", SIZES)
+def test_navigate_flies_as_its_mirror_says(action: Any) -> None:
+    """To a goal straight ahead; actions and observations that are turned are flown and seen the other way round."""
+    ahead = {"goal_bearing_deg": 0.0, "goal_m": (20.0, 20.0)}
+    task = NavigateTask(observation="state", action=action, also_attitude=True, history=2, **ahead)
+    turn = Turn(task.mirrored, {"seen": task.observation_space()}, SIZES[action], th.device("cpu"))
+    actions = th.as_tensor(np.random.default_rng(3).uniform(-0.3, 0.3, (5, SIZES[action])), dtype=th.float32)
+    with make("navigate", **task.model_dump(exclude_defaults=True)) as env:
+        env.reset(seed=1, options={"world": 3})
+        seen = np.stack([env.step(each.numpy())[0] for each in actions])
+        env.reset(seed=1, options={"world": 3})
+        turned = np.stack([env.step(each.numpy())[0] for each in turn.action(actions)])
+    assert np.ptp(seen, axis=0).min() > 0.0
+    np.testing.assert_allclose(turn.seen("seen", th.as_tensor(turned), False), seen, atol=1e-5)
+
+
+def test_a_task_of_other_functions_is_not_mirrored() -> None:
+    class Low(NavigateTask):
+        altitude_m: float = 1.0
+
+    class LooksAside(Low):
+        def fields(self, state: Any, course: Any) -> Any:
+            return [state.position_m[1]]
+
+    assert mirror_of(Low()) == mirror_of(NavigateTask())
+    assert mirror_of(LooksAside()) is None
+
+
 @pytest.mark.parametrize(
     ("env", "keys", "message"),
     [
         (Toy(), {"minibatches": 7}, "minibatches = 7: must divide the 256 samples"),
         (Toy(), {"minibatches": 256}, "minibatches = 256: must divide the 256 samples, 2 or more in each"),
         (Toy(observation=spaces.Discrete(3)), {}, "observation 'seen': must be a picture"),
+        (Toy(mirrored=Mirror((-1, 2), (1, 2))), {}, r"mirrored.fields = \[-1, 2\]: must be the places"),
+        (Toy(mirrored=Mirror((-1,), (1, 1))), {}, r"mirrored.action = \[1, 1\]: must be the places"),
         (Toy(actions=spaces.Discrete(5)), {}, r"PPO takes continuous actions \(n,\), not Discrete"),
     ],
 )

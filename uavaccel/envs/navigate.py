@@ -12,7 +12,7 @@ from pydantic import Field, model_validator
 
 from uavaccel.config import Count, Height, Speed
 from uavaccel.envs.flight_env import FlightEnv
-from uavaccel.envs.task import Positive, Task, distance
+from uavaccel.envs.task import TURNED, Mirror, Positive, Task, distance
 from uavaccel.envs.values import AnyMoment, Course, Info, Number
 from uavaccel.errors import UserError
 from uavaccel.kinematics import Kinematics
@@ -91,6 +91,11 @@ class NavigateTask(Task):
         told = far - (far - FAR_M) * (far > FAR_M)
         attitude = (*state.orientation_wxyz, *state.angular_velocity_rad_s) if self.also_attitude else ()
         return [*(each / (far_m + 1e-3) for each in way_m), told, *state.linear_velocity_m_s, *attitude]
+
+    @property
+    def mirrored(self) -> Mirror:
+        attitude = (8, -9, 10, -11, -12, 13, -14) if self.also_attitude else ()
+        return Mirror((1, -2, 3, 4, 5, -6, 7, *attitude), TURNED[self.action])
 
     def reward(self, before: AnyMoment, now: AnyMoment) -> Number:
         """Return 0.3 per metre nearer to the goal, 5 for success, -12 for failure, and -0.01."""

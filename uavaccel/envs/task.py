@@ -10,7 +10,7 @@ import math
 import operator
 from collections.abc import Mapping, Sequence
 from functools import lru_cache, reduce
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, NamedTuple, Self, TypeAlias
 
 import numpy as np
 from gymnasium import spaces
@@ -47,6 +47,10 @@ if TYPE_CHECKING:  # which compiles
 ActionKind = Literal["velocity", "attitude", "rates", "motors"]
 SIZES: dict[ActionKind, int] = {"velocity": 3, "attitude": 4, "rates": 4, "motors": 4}
 """Numbers of an action."""
+TURNED: dict[ActionKind, Sequence[int]] = {
+    "velocity": (1, -2, 3), "attitude": (-1, 2, -3, 4), "rates": (-1, 2, -3, 4), "motors": (3, 4, 1, 2),
+}  # fmt: skip
+"""Actions turned left to right, as a Mirror has them."""
 HOVER_THROTTLE = 0.5941
 """Throttle that carries AirSim's generic quadrotor (1 kg, four rotors of 4.1794 N) 10 m above its default home."""
 RAD = math.pi / 180.0  # as in math.radians
@@ -79,6 +83,13 @@ class Mediation(Config):
     image_age_s: NotNegative = 0.0
     """Age of the images when a command begins to act, less than T_move: until then the last one acts, for T_move in
     all, and samples are taken when they were."""
+
+
+class Mirror(NamedTuple):
+    """How numbers change when all is turned left to right: the place, from 1, of what each becomes, with its sign."""
+
+    fields: Sequence[int]
+    action: Sequence[int]
 
 
 AnyLayout: TypeAlias = "LaneLayout | ClutterLayout"
@@ -299,6 +310,14 @@ class Task(Config):
         features = as_frame(self, self.fields(state, course), "fields")
         return features if self.flat_state else features[None]
 
+    @property
+    def mirrored(self) -> Mirror | None:
+        """How `fields` and actions turn left to right, for a task that is as likely that way round; None: it is not.
+
+        A task that replaces any function of one with a mirror needs its own.
+        """
+        return None
+
     # --- actions: by default a velocity ---------------------------------------------------------------
 
     def action_space(self) -> spaces.Space[Action]:
@@ -400,6 +419,18 @@ def as_frame(task: Task, numbers: object, name: str) -> NDArray[np.float32]:
 
         said = str(error).partition(". ")[0]
         raise Functions(task).wrong(name, f"must return numbers, in lists of equal length: {said}") from error
+
+
+def mirror_of(task: object) -> Mirror | None:
+    """Return how a task is mirrored; None if it is not, or if its class replaces functions of the one that says so."""
+    functions = {name for name in vars(Task) if not name.startswith(("_", "model_"))}
+    for each in type(task).__mro__:
+        if "mirrored" in vars(each):
+            found: Mirror | None = task.mirrored  # type: ignore[attr-defined]
+            return found
+        if functions & vars(each).keys():
+            break
+    return None
 
 
 @lru_cache(maxsize=256)

@@ -191,7 +191,8 @@ class LearnerConfig(Config):
     commands_per_gradient_step: Count = 4
     """Commands flown per gradient step, for algorithms with a replay buffer."""
     mirror: bool = True
-    """Whether double_dqn mirrors half of each batch left to right: on average the lane is symmetric."""
+    """Whether half of each batch is mirrored left to right: by double_dqn, as on average the lane is symmetric, and by
+    ppo in tasks that say how, as Navigate (Task.mirrored)."""
     mirrored_decisions: bool = False
     """Whether the trained double_dqn policy averages its action values over the observation and its mirror image;
     otherwise it uses those of the observation alone."""

@@ -6,6 +6,8 @@ act        a ~ Normal(mean(o), deviation), with its log probability and the valu
 estimate   generalised advantages A over the rollout (Schulman et al., 2016), and returns A + V;
 descend    on the clipped objective, the squared error of V, and the entropy.
 
+Of a task that is symmetric, half of each minibatch is mirrored, as if the policy were symmetric (Mittal et al., 2024).
+
 The same code runs on the CPU and on a GPU, where acting and descending are recorded as CUDA graphs. Environments
 restart in the step in which a game ends (autoreset SAME_STEP); what a truncated game would still have brought is taken
 to be the value of its last observation but one.
@@ -30,6 +32,7 @@ from uavaccel.config import Count, Seed
 from uavaccel.envs.batch import TurnBatch
 from uavaccel.envs.sensors import DEPTH_FAR_M
 from uavaccel.envs.stopwatch import PHASES
+from uavaccel.envs.task import Mirror, mirror_of
 from uavaccel.errors import UserError
 from uavaccel.kernels.recording import recorded
 from uavaccel.rl.config import LearnerConfig, PPOSettings
@@ -53,6 +56,8 @@ class PPOOptions(PPOSettings):
     """Channels of the convolutions, for observations with pictures: 5 x 5, then 3 x 3, all with stride 2."""
     hidden: Annotated[tuple[Count, ...], Field(max_length=8)] = (256, 128)
     """Widths of the layers after them."""
+    mirror: bool = True
+    """Whether half of each minibatch is turned left to right, where the environment's task says how."""
     seed: Seed = 0
     """Seed of weights and actions, and of the environments' games."""
 
@@ -110,6 +115,43 @@ def blocks(pictures: th.Tensor) -> th.Tensor:
     rows, columns = pictures.shape[2:]
     found = functional.pixel_unshuffle(functional.pad(pictures, (0, columns % 2, 0, rows % 2)), 2)
     return found.permute(0, 2, 3, 1)
+
+
+class Turn:
+    """Turns samples left to right, their pictures perhaps in blocks.
+
+    Raises UserError for a mirror that does not fit observations and actions.
+    """
+
+    def __init__(self, mirror: Mirror, boxes: Mapping[str, spaces.Box], actions: int, device: th.device) -> None:
+        self._columns = {name: box.shape[-1] for name, box in boxes.items() if len(box.shape) == 3}
+        wide = {name: box.shape[-1] for name, box in boxes.items() if len(box.shape) < 3}
+        for name, places, widths in (("fields", mirror.fields, wide.values()), ("action", mirror.action, [actions])):
+            count = len(places)
+            if sorted(map(abs, places)) != list(range(1, count + 1)) or any(
+                count < 1 or width % count for width in widths
+            ):
+                raise UserError(
+                    f"mirrored.{name} = {list(places)}: must be the places from 1 of all {name}, with signs"
+                )
+        self._fields, self._action = (th.tensor(places, device=device) for places in mirror)
+
+    def seen(self, name: str, part: th.Tensor, in_blocks: bool) -> th.Tensor:
+        """Return a part (n, ...) of observations as the network takes it."""
+        if name not in self._columns:
+            return _placed(part.unflatten(-1, (-1, len(self._fields))), self._fields).flatten(-2)
+        if not in_blocks:
+            return part.flip(3)
+        pictures = functional.pixel_shuffle(part.permute(0, 3, 1, 2), 2)
+        return blocks(pictures[..., : self._columns[name]].flip(3))
+
+    def action(self, action: th.Tensor) -> th.Tensor:
+        """Return actions (n, actions)."""
+        return _placed(action, self._action)
+
+
+def _placed(numbers: th.Tensor, places: th.Tensor) -> th.Tensor:
+    return numbers[..., places.abs() - 1] * places.sign()
 
 
 class ActorCritic(nn.Module):
@@ -197,7 +239,10 @@ class PPO:
         options.check_samples(env.num_envs)
         self.env, self.options, self.device = env, options, th.device(getattr(env, "device", "cpu"))
         th.manual_seed(options.seed)
-        sees = getattr(getattr(env, "task", None), "observation", "")
+        task = getattr(env, "task", None)
+        sees, mirror = getattr(task, "observation", ""), mirror_of(task) if options.mirror else None
+        boxes = boxes_of(env.single_observation_space)
+        self._turn = None if mirror is None else Turn(mirror, boxes, space.shape[0], self.device)
         on_gpu = self.device.type == "cuda"
         policy = ActorCritic(env.single_observation_space, space.shape[0], options, sees)
         order = th.channels_last if on_gpu else th.preserve_format  # the order in which a GPU convolves
@@ -339,14 +384,19 @@ class PPO:
         """Take one gradient step on the minibatch."""
         options, batch = self.options, self._batch
         seen = {name: part.flatten(0, 1)[batch] for name, part in self._seen.items()}
+        plain = len(batch) if self._turn is None else len(batch) // 2
         action, before, gain, target = (
             part.flatten(0, 1)[batch] for part in (self._chosen, self._chances, self._gains, self._targets)
         )
+        if self._turn is not None:
+            turned = {name: self._turn.seen(name, part[plain:], self._in_bfloat16) for name, part in seen.items()}
+            seen = {name: th.cat([part[:plain], turned[name]]) for name, part in seen.items()}
+            action = th.cat([action[:plain], self._turn.action(action[plain:])])
         mean, value = self._rate(seen)
         log_ratio = self._chance(mean, action) - before
         ratio = log_ratio.exp()
         if options.divergence:
-            self._pace((ratio - 1.0 - log_ratio).mean().detach(), options.divergence)
+            self._pace((ratio - 1.0 - log_ratio)[:plain].mean().detach(), options.divergence)
         gain = (gain - gain.mean()) / (gain.std() + 1e-8)
         objective = th.min(gain * ratio, gain * ratio.clamp(1.0 - options.clip, 1.0 + options.clip)).mean()
         entropy = (self._log_deviation() + LOG_ROOT_TWO_PI_E).sum()
@@ -367,7 +417,9 @@ class PPO:
 def options_of(config: LearnerConfig) -> PPOOptions:
     """Return PPO's options. Raises UserError for an unknown key or a value that does not fit."""
     settings = PPOSettings.of(config).model_dump()
-    return PPOOptions(**settings, channels=config.channels, hidden=config.hidden, seed=config.seed)
+    return PPOOptions(
+        **settings, channels=config.channels, hidden=config.hidden, mirror=config.mirror, seed=config.seed
+    )
 
 
 def actor_of(config: LearnerConfig) -> ActorCritic:
