@@ -19,6 +19,8 @@ from tests.running import run_into
 from uavaccel import VelocityGoal, open_session, tcsc
 from uavaccel.errors import UserError
 from uavaccel.own_code import file_beside, folder_of, look_also_in, own_function, trusting
+from uavaccel.resources import asset
+from uavaccel.rl.policy import MANIFEST, read_manifest
 from uavaccel.suites.registry import find_suite
 from uavaccel.suites.session import RunRequest, reading
 
@@ -149,15 +151,17 @@ def test_a_suite_in_a_package_is_imported_from_above_it(here: Path, monkeypatch:
 
 
 def test_of_modules_of_one_name_a_run_means_that_of_its_folder(here: Path) -> None:
-    """Whichever folders other runs have noted before."""
+    """Whichever folders others have noted before; a policy's, too, which is read once."""
     folders = [here / "one", here / "other"]
     for folder in folders:
-        folder.mkdir()
+        shutil.copytree(asset("policies/default"), folder)
+        manifest = json.loads((folder / MANIFEST).read_text())
+        (folder / MANIFEST).write_text(json.dumps({**manifest, "own_code": str(folder)}))
         (folder / "toy.py").write_text(BLOCKS["python"])
         with trusting(beside=folder):
             assert folder_of(type(find_suite("toy:Toy", "toy.yaml"))) == folder
     for folder in (*folders, folders[0]):
-        look_also_in(str(folder))
+        read_manifest(folder)
         assert folder_of(type(find_suite("toy:Toy", "toy.yaml"))) == folder
 
 
