@@ -247,6 +247,9 @@ def test_a_file_without_one_task_is_one_line(file: str, line: str, here: Path, s
     assert said("train theirs.py --dry-run") == "theirs.py: no such file"
 
 
+MIRRORED = "action_space, mirrored = lambda self: Box(-1.0, 1.0, (3,)), lambda self:"
+
+
 @pytest.mark.parametrize(("function", "line"), [
     ("reward = Task.reward", "Post.reward: is missing: def reward(self, before, now)"),
     ("def reward(self, before, now): return float('nan')", "Post.reward: returned nan: must be a finite number"),
@@ -271,6 +274,9 @@ def test_a_file_without_one_task_is_one_line(file: str, line: str, here: Path, s
     ("def action_space(self): return Discrete(4, start=1)", "Post.action_space: must return a Discrete that begins"),
     ("def action_space(self): return Box(-1, 1, (0,))", "Post.action_space: must return a Discrete that begins with 0"),
     ("def action_space(self): return Box(-1, 1, (2,), int)", "Post.action_space: must return a Discrete that begins"),
+    (f"{MIRRORED} 1", "Post.mirrored: must return a Mirror of envs.task or None"),
+    (f"{MIRRORED} ([1, -2, 3, -4, 5], [1, -2])", "Post.mirrored: must return a Mirror of envs.task or None: action = "),
+    (f"{MIRRORED} ([1, -2, 3], [1, -2, 3])", "Post.mirrored: must return a Mirror of envs.task or None: fields = "),
     ("def goal(self, action): return 4", "Post.goal: must return a goal of uavaccel.kinematics"),
     ("@property\n    def directions(self): return [(float('nan'), 0, 0)] * 4",
      "Post.goal: must be of finite numbers, not VelocityGoal("),

@@ -22,7 +22,7 @@ from uavaccel import make
 from uavaccel.config import validate
 from uavaccel.envs.hover import Hover
 from uavaccel.envs.navigate import NavigateTask
-from uavaccel.envs.task import SIZES, Mirror, mirror_of
+from uavaccel.envs.task import SIZES, Mirror
 from uavaccel.errors import UserError
 from uavaccel.records import RunDirectory
 from uavaccel.rl.adapters import TensorLoop
@@ -53,7 +53,7 @@ class Toy:
         picture = spaces.Box(0, 255, (1, 12, 12), np.uint8)
         both = spaces.Dict({"image": picture, "state": spaces.Box(-np.inf, np.inf, (1,), np.float32)})
         self.single_observation_space: Any = both if observation is None else observation
-        self._signs, self.task = signs, type("Symmetric", (), {"mirrored": mirrored, "observation": ""})()
+        self._signs, self.task = signs, type("Symmetric", (), {"mirrored": lambda self: mirrored, "observation": ""})()
         self.flown: list[np.ndarray] = []
         self.rewards: list[np.ndarray] = []
 
@@ -131,7 +131,7 @@ def test_each_option_changes_what_is_learned_as_recorded() -> None:
 @pytest.mark.parametrize("shape", [(8, 36, 64), (3, 35, 63), (1, 6, 5)], ids=str)
 def test_blocks_are_convolved_to_what_pictures_are(shape: tuple[int, ...]) -> None:
     layer, seen = FirstLayer(shape[0], 4), th.rand(2, *shape)
-    turn = Turn(Mirror((), (1,)), {"image": spaces.Box(0, 255, shape, np.uint8)}, 1, th.device("cpu"))
+    turn = Turn(Mirror((), (1,)), {"image": spaces.Box(0, 255, shape, np.uint8)}, th.device("cpu"))
     assert th.equal(turn.seen("image", blocks(seen), True), blocks(turn.seen("image", seen, False)))
     np.testing.assert_allclose(
         layer(blocks(seen).permute(0, 3, 1, 2)).detach(), layer(seen).detach(), atol=1e-5, strict=True
@@ -185,7 +185,7 @@ def test_navigate_flies_as_its_mirror_says(action: Any) -> None:
     """To a goal straight ahead; actions and observations that are turned are flown and seen the other way round."""
     ahead = {"goal_bearing_deg": 0.0, "goal_m": (20.0, 20.0)}
     task = NavigateTask(observation="state", action=action, also_attitude=True, history=2, **ahead)
-    turn = Turn(task.mirrored, {"seen": task.observation_space()}, SIZES[action], th.device("cpu"))
+    turn = Turn(task.mirrored(), {"seen": task.observation_space()}, th.device("cpu"))
     actions = th.as_tensor(np.random.default_rng(3).uniform(-0.3, 0.3, (5, SIZES[action])), dtype=th.float32)
     with make("navigate", **task.model_dump(exclude_defaults=True)) as env:
         env.reset(seed=1, options={"world": 3})
@@ -204,8 +204,8 @@ def test_a_task_of_other_functions_is_not_mirrored() -> None:
         def fields(self, state: Any, course: Any) -> Any:
             return [state.position_m[1]]
 
-    assert mirror_of(Low()) == mirror_of(NavigateTask())
-    assert mirror_of(LooksAside()) is None
+    assert Low().mirrored() == NavigateTask().mirrored()
+    assert LooksAside().mirrored() is None
 
 
 @pytest.mark.parametrize(
@@ -214,8 +214,8 @@ def test_a_task_of_other_functions_is_not_mirrored() -> None:
         (Toy(), {"minibatches": 7}, "minibatches = 7: must divide the 256 samples"),
         (Toy(), {"minibatches": 256}, "minibatches = 256: must divide the 256 samples, 2 or more in each"),
         (Toy(observation=spaces.Discrete(3)), {}, "observation 'seen': must be a picture"),
-        (Toy(mirrored=Mirror((-1, 2), (1, 2))), {}, r"mirrored.fields = \[-1, 2\]: must be the places"),
-        (Toy(mirrored=Mirror((-1,), (1, 1))), {}, r"mirrored.action = \[1, 1\]: must be the places"),
+        (Toy(mirrored=Mirror((-1, 2), (1, 2))), {}, r"mirrored: fields = \[-1, 2\]: must be all places"),
+        (Toy(mirrored=Mirror((-1,), (1, 1))), {}, r"mirrored: action = \[1, 1\]: must be all places"),
         (Toy(actions=spaces.Discrete(5)), {}, r"PPO takes continuous actions \(n,\), not Discrete"),
     ],
 )

@@ -15,7 +15,7 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from uavaccel.config import validate
-from uavaccel.envs.task import Task, as_frame, told_of
+from uavaccel.envs.task import Mirror, Task, as_frame, told_of
 from uavaccel.envs.values import AT_REST, CONDITIONS, Action, Actions, Course, Moment
 from uavaccel.errors import UserError
 from uavaccel.kinematics import FlightGoal, Kinematics
@@ -195,6 +195,7 @@ def check_functions(task: Task) -> None:
     call("lane_layout", course)
     state = replace(AT_REST, position_m=(0.0, 0.0, -task.altitude_m))
     _check_features(task, call, state, course)
+    _check_mirror(call, actions)
     actions.seed(0)
     action = actions.sample()
     goal = call("goal", action.astype(np.float64) if isinstance(actions, spaces.Box) else action)
@@ -249,6 +250,15 @@ def _check_features(task: Task, call: Functions, state: Kinematics, course: Mapp
     seen = np.concatenate([task.features(state, course)] * task.frames_per_command * task.history).shape
     if task.observation == "state" and space.shape != seen:
         raise call.wrong(name, f"observations are of shape {seen}, in observation_space of {space.shape}")
+
+
+def _check_mirror(call: Functions, actions: spaces.Space[Any]) -> None:
+    if (mirror := call("mirrored")) is None or not isinstance(actions, spaces.Box):
+        return
+    try:
+        Mirror(*mirror).check(call("observation_space"), actions.shape[0])
+    except (TypeError, ValueError) as error:
+        raise call.wrong("mirrored", f"must return a Mirror of envs.task or None: {error}") from error
 
 
 def features_name(task: Task) -> str:

@@ -92,7 +92,6 @@ class NavigateTask(Task):
         attitude = (*state.orientation_wxyz, *state.angular_velocity_rad_s) if self.also_attitude else ()
         return [*(each / (far_m + 1e-3) for each in way_m), told, *state.linear_velocity_m_s, *attitude]
 
-    @property
     def mirrored(self) -> Mirror:
         attitude = (8, -9, 10, -11, -12, 13, -14) if self.also_attitude else ()
         return Mirror((1, -2, 3, 4, 5, -6, 7, *attitude), TURNED[self.action])

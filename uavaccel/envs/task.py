@@ -91,6 +91,17 @@ class Mirror(NamedTuple):
     fields: Sequence[int]
     action: Sequence[int]
 
+    def check(self, space: spaces.Space[Any], actions: int) -> None:
+        """Raise ValueError unless it has the places of all fields in an observation space and of an action."""
+        seen = space.values() if isinstance(space, spaces.Dict) else [space]
+        widths = [part.shape[-1] for part in seen if part.shape and len(part.shape) < 3]  # of one frame or of several
+        count = len(self.fields)
+        fits = {"fields": not any(width % count if count else width for width in widths)}
+        fits["action"] = len(self.action) == actions
+        for name, places in self._asdict().items():
+            if not fits[name] or sorted(map(abs, places)) != list(range(1, len(places) + 1)):
+                raise ValueError(f"{name} = {list(places)}: must be all places, each once, from 1 on and with its sign")
+
 
 AnyLayout: TypeAlias = "LaneLayout | ClutterLayout"
 
@@ -238,6 +249,13 @@ class Task(Config):
         """TCSC's T_th in simulated nanoseconds (Profile.t_th_ns)."""
         return PROFILES[self.profile].t_th_ns(self.t_th_wall_s, self.clock_speed, self.t_sample_s)
 
+    @classmethod
+    def __pydantic_init_subclass__(cls, **keys: Any) -> None:
+        super().__pydantic_init_subclass__(**keys)
+        functions = {name for name in vars(Task) if not name.startswith(("_", "model_"))}
+        if "mirrored" not in vars(cls) and functions & vars(cls).keys():
+            cls.mirrored = Task.mirrored  # type: ignore[method-assign]
+
     # --- senses -----------------------------------------------------------------------------------
 
     @property
@@ -310,11 +328,10 @@ class Task(Config):
         features = as_frame(self, self.fields(state, course), "fields")
         return features if self.flat_state else features[None]
 
-    @property
     def mirrored(self) -> Mirror | None:
-        """How `fields` and actions turn left to right, for a task that is as likely that way round; None: it is not.
+        """Return how `fields` and actions turn left to right, if it is as likely that way round; None: it is not.
 
-        A task that replaces any function of one with a mirror needs its own.
+        A task that replaces another's functions does not inherit this one.
         """
         return None
 
@@ -413,24 +430,12 @@ class Task(Config):
 def as_frame(task: Task, numbers: object, name: str) -> NDArray[np.float32]:
     """Return what a task's function of that name returned, as an array. Raises UserError for what has no shape."""
     try:
-        return np.asarray(numbers, np.float32)
+        return np.array(numbers, np.float32)  # of its own, which is kept
     except (TypeError, ValueError) as error:
         from uavaccel.envs.checks import Functions
 
         said = str(error).partition(". ")[0]
         raise Functions(task).wrong(name, f"must return numbers, in lists of equal length: {said}") from error
-
-
-def mirror_of(task: object) -> Mirror | None:
-    """Return how a task is mirrored; None if it is not, or if its class replaces functions of the one that says so."""
-    functions = {name for name in vars(Task) if not name.startswith(("_", "model_"))}
-    for each in type(task).__mro__:
-        if "mirrored" in vars(each):
-            found: Mirror | None = task.mirrored  # type: ignore[attr-defined]
-            return found
-        if functions & vars(each).keys():
-            break
-    return None
 
 
 @lru_cache(maxsize=256)

@@ -32,7 +32,7 @@ from uavaccel.config import Count, Seed
 from uavaccel.envs.batch import TurnBatch
 from uavaccel.envs.sensors import DEPTH_FAR_M
 from uavaccel.envs.stopwatch import PHASES
-from uavaccel.envs.task import Mirror, mirror_of
+from uavaccel.envs.task import Mirror
 from uavaccel.errors import UserError
 from uavaccel.kernels.recording import recorded
 from uavaccel.rl.config import LearnerConfig, PPOSettings
@@ -118,22 +118,10 @@ def blocks(pictures: th.Tensor) -> th.Tensor:
 
 
 class Turn:
-    """Turns samples left to right, their pictures perhaps in blocks.
+    """Turns samples left to right, their pictures perhaps in blocks."""
 
-    Raises UserError for a mirror that does not fit observations and actions.
-    """
-
-    def __init__(self, mirror: Mirror, boxes: Mapping[str, spaces.Box], actions: int, device: th.device) -> None:
+    def __init__(self, mirror: Mirror, boxes: Mapping[str, spaces.Box], device: th.device) -> None:
         self._columns = {name: box.shape[-1] for name, box in boxes.items() if len(box.shape) == 3}
-        wide = {name: box.shape[-1] for name, box in boxes.items() if len(box.shape) < 3}
-        for name, places, widths in (("fields", mirror.fields, wide.values()), ("action", mirror.action, [actions])):
-            count = len(places)
-            if sorted(map(abs, places)) != list(range(1, count + 1)) or any(
-                count < 1 or width % count for width in widths
-            ):
-                raise UserError(
-                    f"mirrored.{name} = {list(places)}: must be the places from 1 of all {name}, with signs"
-                )
         self._fields, self._action = (th.tensor(places, device=device) for places in mirror)
 
     def seen(self, name: str, part: th.Tensor, in_blocks: bool) -> th.Tensor:
@@ -240,9 +228,9 @@ class PPO:
         self.env, self.options, self.device = env, options, th.device(getattr(env, "device", "cpu"))
         th.manual_seed(options.seed)
         task = getattr(env, "task", None)
-        sees, mirror = getattr(task, "observation", ""), mirror_of(task) if options.mirror else None
-        boxes = boxes_of(env.single_observation_space)
-        self._turn = None if mirror is None else Turn(mirror, boxes, space.shape[0], self.device)
+        sees, mirrored = getattr(task, "observation", ""), getattr(task, "mirrored", None)
+        mirror = mirrored() if options.mirror and mirrored else None
+        self._turn = None if mirror is None else self._turn_of(mirror)
         on_gpu = self.device.type == "cuda"
         policy = ActorCritic(env.single_observation_space, space.shape[0], options, sees)
         order = th.channels_last if on_gpu else th.preserve_format  # the order in which a GPU convolves
@@ -254,6 +242,14 @@ class PPO:
         self._allocate(space.shape[0])
         works = self._act, self._estimate, self._descend
         self._do_act, self._do_estimate, self._do_descend = (recorded(work, self.device) for work in works)
+
+    def _turn_of(self, mirror: Mirror) -> Turn:
+        space = self.env.single_observation_space
+        try:
+            mirror.check(space, self.env.single_action_space.shape[0])
+        except ValueError as error:
+            raise UserError(f"mirrored: {error}") from error
+        return Turn(mirror, boxes_of(space), self.device)
 
     def _allocate(self, actions: int) -> None:
         count, steps, device = self.env.num_envs, self.options.rollout, self.device
