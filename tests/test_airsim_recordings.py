@@ -66,18 +66,21 @@ def test_each_sample_has_its_images(tmp_path: Path) -> None:
     np.testing.assert_allclose(depth_m.ravel(), below["image_data_float"])
 
 
-def test_after_a_reset_each_sample_has_its_images_again(tmp_path: Path) -> None:
-    """On the new grid of sampling times, which begins with the reset."""
-    wire = recorder(tmp_path)
+@pytest.mark.parametrize(("on_move", "times_ms"), [(False, [0, 50, 100, 120, 170, 220]), (True, [0, 170, 220])])
+def test_after_a_reset_each_sample_has_its_images_again(tmp_path: Path, on_move: bool, times_ms: list[int]) -> None:
+    """On the new grid of sampling times, which begins with the reset; those of lines left out are of none."""
+    wire = recorder(tmp_path, RecordOnMove=on_move)
     wire.call("startRecording")
     wire.fly(0.12)
     wire.call("reset")
+    wire.call("enableApiControl", True, "")
+    wire.call("moveByVelocity", 3.0, 0.0, -3.0, 5.0, 0, {"is_rate": True, "yaw_or_rate": 0.0}, "")
     wire.fly(0.11)
     wire.call("stopRecording")
     [made] = tmp_path.iterdir()
     rows = [line.split("\t") for line in (made / "airsim_rec.txt").read_text().splitlines()[1:]]
-    assert [int(row[1]) - EPOCH_NS // 1_000_000 for row in rows] == [0, 50, 100, 120, 170, 220]
-    assert [row[-1].count(";") for row in rows] == [2] * 6
+    assert [int(row[1]) - EPOCH_NS // 1_000_000 for row in rows] == times_ms
+    assert [row[-1].count(";") for row in rows] == [2] * len(times_ms)
 
 
 def test_each_vehicle_is_recorded_in_its_own_frame_with_its_own_cameras(tmp_path: Path) -> None:
@@ -90,7 +93,9 @@ def test_each_vehicle_is_recorded_in_its_own_frame_with_its_own_cameras(tmp_path
     wire.call("enableApiControl", True, "B")
     wire.call("startRecording")
     wire.call("moveByVelocityZ", 2.0, 0.0, -3.0, 5.0, 0, {"is_rate": True, "yaw_or_rate": 0.0}, "B")
-    wire.fly(0.4)
+    wire.fly(0.2)
+    wire.call("simAddVehicle", "D", "simpleflight", pose(9.0, 9.0, -2.0), "")
+    wire.fly(0.2)
     wire.call("stopRecording")
     wire.call("simPause", True)
     here = [wire.call("simGetVehiclePose", name)["position"].values() for name in "AB"]

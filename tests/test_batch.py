@@ -67,7 +67,7 @@ def test_a_batch_flies_as_single_environments_do(mode: str, size: tuple[int, int
 
 @pytest.mark.parametrize("simulator", ["mujoco", "kernels"])
 def test_a_mask_says_which_games_begin_anew(simulator: str) -> None:
-    batch: Any = uavaccel.make_vec("hover", 2, simulator=simulator, autoreset_mode="Disabled")
+    batch: Any = uavaccel.make_vec("hover", 2, simulator=simulator, autoreset_mode="Disabled", render_mode=None)
     with closing(batch), closing(uavaccel.make("hover")) as alone:
         first, _ = batch.reset(seed=1)
         aim = {"waypoint_m": [1.0, 0.0, -9.0]}

@@ -16,7 +16,7 @@ import torch as th
 from torch.nn import functional
 
 import uavaccel.envs  # noqa: F401 - registers
-from tests.gpu_threads import Twice
+from tests.gpu_threads import Twice, kernels_in_python
 from tests.host_kernels import host_kernels  # noqa: F401 - a fixture
 from uavaccel.config import validate
 from uavaccel.envs.kernel_batch import KernelBatch
@@ -97,6 +97,25 @@ def test_threads_of_a_gpu_make_what_the_host_does(monkeypatch: pytest.MonkeyPatc
         compared += twice.compared
     every = "fly deal_clutter cast_gray cast_colour cast_depth start_events see_gray take_frames draw_gray see show"
     assert min(compared[name] for name in every.split()) > 30, compared
+
+
+@pytest.mark.parametrize("threads", [1, 4, 32])
+def test_the_threads_of_a_lane_share_what_one_of_them_has_found(threads: int) -> None:
+    """The least distance, and the deepest solid, on a tie the later one; threads of other lanes have their own."""
+    (gpu, names), random = kernels_in_python(), np.random.default_rng(0)
+    found, depth_m = random.permutation(32), random.integers(4, size=32).astype(float)
+    depths, solids = np.zeros(32), np.zeros(32, int)
+
+    def share() -> None:
+        thread = gpu.threadIdx.x
+        depths[thread] = names["least_of_all"](depth_m[thread], threads)
+        solids[thread] = names["deepest_of_all"](found[thread], depth_m[thread], threads)
+
+    gpu.launch(share, [0], 32, range(32), ())
+    lanes = np.arange(32).reshape(-1, threads)
+    assert depths.tolist() == depth_m[lanes].min(1).repeat(threads).tolist()
+    deepest = [max(found[lane][depth_m[lane] == depth_m[lane].min()]) for lane in lanes]
+    assert solids.tolist() == np.repeat(deepest, threads).tolist()
 
 
 def test_make_vec_says_which_simulator_flies() -> None:

@@ -150,8 +150,9 @@ def test_leak_jitters_by_its_fraction_and_anew_in_each_frame() -> None:
     assert abs(np.corrcoef(falls[0].ravel(), falls[1].ravel())[0, 1]) < 0.03
 
 
-@pytest.mark.parametrize(("level", "dt_s"), [(0, 0.02), (0, 0.1), (100, 0.1), (255, 0.1)])
+@pytest.mark.parametrize(("level", "dt_s"), [(0, 0.02), (0, 0.1), (0, 0.8), (100, 0.1), (255, 0.1)])
 def test_shot_noise_falls_with_brightness_and_is_on_as_often_as_off(level: int, dt_s: float) -> None:
+    """Also where most pixels have both in one frame."""
     sensor = dvs.make_sensor(replace(EXACT, shot_noise_rate_hz=2.0), SHAPE, seed=0)
     _, on, off = dvs.step(sensor, dvs.init_state(sensor, grey(level)), grey(level), dt_s)
     expected = PIXELS * 2.0 / 2 * dt_s * (1 - 0.75 * (level + 20) / 275)
@@ -348,11 +349,19 @@ def dp2_game(*overrides: str) -> tuple[Any, dict[str, NDArray[Any]]]:
 
 
 @needs_opengl
-def test_dp2_counts_between_its_samples_and_flies_as_ever() -> None:
-    """An ADSC game, whose samples come late: after a frame of the grid, and in between."""
+def test_dp2_counts_between_its_samples_and_flies_as_ever(monkeypatch: pytest.MonkeyPatch) -> None:
+    """An ADSC game, whose samples come late: at a frame of the grid, which is seen once, and in between."""
     row, arrays = dp2_game()
+    process, seen_ns = EventCounter.process_frame, list[int]()
+
+    def process_frame(counter: EventCounter, frame: NDArray[np.uint8], time_ns: int) -> None:
+        seen_ns.append(time_ns)
+        process(counter, frame, time_ns)
+
+    monkeypatch.setattr(EventCounter, "process_frame", process_frame)
     watched_row, watched = dp2_game("dvs_rate_hz=50")
     assert watched_row == row
+    assert seen_ns == sorted({*seen_ns})
     on, off = watched.pop("dvs_on"), watched.pop("dvs_off")
     assert {name: each.tobytes() for name, each in watched.items()} == {
         name: array.tobytes() for name, array in arrays.items()

@@ -452,6 +452,7 @@ QUICK: Keys = {
     **{name: {"call": [40.0, 40.0]} for name in ("request_us", "reply_us")},
     **{name: [0.0, 0.0] for name in ("issue_us", "timer_us")},
 }
+AT_ONCE: Keys = {name: {"call": [0.0, 0.0]} for name in ("request_us", "reply_us")}
 GOES_ON: Keys = {
     "ends_at_touch": False,
     "timing": "virtual",
@@ -526,14 +527,15 @@ STANDS_BETWEEN_FRAMES: Keys = {
     "timing": "virtual",
     "profile": "airsim",
     "clock_speed": 3.0,
-    "image_processing_s": 0.05,
-    "latency": QUICK | {"platform": {"frames": {"hz": 60.0, "stale_pose": True}}},
+    "image_processing_s": 0.06,
+    "latency": QUICK | AT_ONCE | {"platform": {"frames": {"hz": 50.0, "stale_pose": True}}},
     "t_move_s": 0.36,
     "t_sample_s": 0.12,
     "speed_m_s": 6.0,
     "max_commands": 3,
 }
-"""Images show the pose of Unreal's last frame, and are as old to the agent as TCSC's clock says, which stands."""
+"""Images show the pose of Unreal's last frame, and are as old to the agent as TCSC's clock says, which stands: from the
+moment of a frame on, which does not come any more."""
 OTHER_NOISE: Keys = {
     "randomise": {"image_noise": [2, 9], "dvs_leak_hz": [5, 50], "share": 0.4},
     "t_move_s": 0.4,

@@ -224,6 +224,8 @@ def test_refuses_what_it_cannot_draw(appearance: Appearance) -> None:
         with pytest.raises(UserError, match=says):
             read_appearance(lane)
         numbers[:] = right
+    lane.geom("wall_east").group = 3
+    assert len(read_appearance(lane).fixed) == 2, "the ground and a wall: what is hidden is not drawn, nor the drone"
 
 
 # --- as a GPU's threads draw, column by column and quad by quad ----------------------------------------------------
@@ -314,7 +316,7 @@ def test_quads_without_noise_see_what_pixels_see(sigma: float, negative: float) 
 NOISES: dict[str, dict[str, float]] = {
     "plain": {},
     "leak": {"leak_rate_hz": 40.0, "leak_jitter_fraction": 0.1, "leak_rate_spread_decades": 0.1, "hot_share": 0.1},
-    "shots": {"shot_noise_rate_hz": 30.0},
+    "shots": {"shot_noise_rate_hz": 300.0},
     "filter": {"cutoff_hz": 60.0, "leak_rate_hz": 9.0, "shot_noise_rate_hz": 9.0},
 }
 

@@ -124,14 +124,16 @@ class OnDevice(TwoStates):
         self.rewards, self.terminated, self.truncated = th.zeros(lanes), *(th.zeros(lanes).bool() for _ in range(2))
         self.going, self.ended = th.ones(lanes, dtype=th.uint8), th.zeros((lanes, AT.columns), dtype=th.float64)
         self.returns = np.zeros(lanes)
+        self.begun_when_refilled: list[list[int]] = []
         self.games = SimpleNamespace(begun=th.zeros(lanes), seed=self.seeds.append, has_games=False)
-        self.games.refill = lambda begun: None
+        self.games.refill = self.begun_when_refilled.append
 
     def begin(self) -> None:
         self.games.has_games = True
 
     def fly(self, actions: th.Tensor) -> None:
         lanes = range(self.count)
+        assert self.begun_when_refilled[0] == [1] * self.count, "a lane has a game to go on with"
         self.step_async(actions.numpy(), lanes)
         seen, *told, _ = self.step_wait(lanes)
         self.observations.copy_(th.from_numpy(seen))

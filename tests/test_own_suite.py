@@ -19,6 +19,8 @@ from tests.running import run_into
 from uavaccel import VelocityGoal, open_session, tcsc
 from uavaccel.errors import UserError
 from uavaccel.own_code import file_beside, folder_of, look_also_in, own_function, trusting
+from uavaccel.resources import asset
+from uavaccel.rl.policy import MANIFEST, read_manifest
 from uavaccel.suites.registry import find_suite
 from uavaccel.suites.session import RunRequest, reading
 
@@ -146,6 +148,21 @@ def test_a_suite_in_a_package_is_imported_from_above_it(here: Path, monkeypatch:
         look_also_in(str(here))
         assert folder_of(type(find_suite(f"{module}:Toy", "toy.yaml"))) == here
     assert folder_of(type(find_suite("dp1", "dp1.yaml"))) is None
+
+
+def test_of_modules_of_one_name_a_run_means_that_of_its_folder(here: Path) -> None:
+    """Whichever folders others have noted before; a policy's, too, which is read once."""
+    folders = [here / "one", here / "other"]
+    for folder in folders:
+        shutil.copytree(asset("policies/default"), folder)
+        manifest = json.loads((folder / MANIFEST).read_text())
+        (folder / MANIFEST).write_text(json.dumps({**manifest, "own_code": str(folder)}))
+        (folder / "toy.py").write_text(BLOCKS["python"])
+        with trusting(beside=folder):
+            assert folder_of(type(find_suite("toy:Toy", "toy.yaml"))) == folder
+    for folder in (*folders, folders[0]):
+        read_manifest(folder)
+        assert folder_of(type(find_suite("toy:Toy", "toy.yaml"))) == folder
 
 
 FOREIGN = """

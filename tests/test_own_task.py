@@ -170,12 +170,12 @@ def test_resumed_it_ends_with_the_same_bytes(here: Path, monkeypatch: pytest.Mon
 
 def test_its_file_alone_is_a_training(here: Path) -> None:
     """With settings by its actions and by what can fly it; --set and --games change them."""
-    for name, algorithm in (("post.py:Post", "double_dqn"), ("post.py:Free", "ppo")):
+    for name, algorithm, lanes in (("post.py:Post", "double_dqn", 8), ("post.py:Free", "ppo", 32)):
         with reading(RunRequest(name, {"games": 3}, ["task.near_m=2"])) as (suite, config):
             assert isinstance(suite, Training)
             suite.check(config)
-            found = config.algorithm, config.simulator, config.games, config.task.near_m
-            assert found == (algorithm, "kernels", 3, 2.0)
+            found = config.algorithm, config.simulator, config.environments, config.games, config.task.near_m
+            assert found == (algorithm, "kernels", lanes, 3, 2.0)
     (here / "mine.py").write_text(POST.replace("return self.far_m(now) <", "return not self.far_m(now) >"))
     with reading(RunRequest("mine.py")) as (_, config):
         assert (config.env_id, config.simulator) == ("mine.py:Post", "mujoco")
@@ -286,6 +286,11 @@ MIRRORED = "action_space, mirrored = lambda self: Box(-1.0, 1.0, (3,)), lambda s
     ("def fields(self, state, course): return course.pop('aim_m')", "Post.fields: changes the course that it is"),
     ("scene = 'lane'\n    def layout(self, course): return {'obstacles': [{'x': 1}]}",
      "Post.layout: lane: unknown key 'obstacles.0.x'"),
+    *[(f"def {signature}: return __import__('numpy').random.random()", f"Post.{name}: called again with the same,")
+      for name, signature in {
+          "reward": "reward(self, before, now)", "fields": "fields(self, state, course)",
+          "sample": "sample(self, random, options)"
+      }.items()],
     ("def layout(self, course): return {'obstacles': []}", "Post.layout: a layout is of obstacles, light"),
 ])  # fmt: skip
 def test_a_function_with_a_mistake_is_named(function: str, line: str, here: Path, said: Callable[[str], str]) -> None:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import pickle
 from contextlib import closing
+from copy import deepcopy
 from typing import Any
 
 import numpy as np
@@ -20,6 +22,7 @@ from uavaccel.envs.kernel_batch import KernelBatch
 from uavaccel.envs.navigate import Navigate
 from uavaccel.envs.observer import Game, Observer
 from uavaccel.envs.obstacle_lane import ObstacleLane
+from uavaccel.envs.swarm import Swarm
 from uavaccel.errors import UserError
 
 LANE: dict[str, Any] = {"observation": "state", "timing": "virtual", "clock_speed": 10.0}
@@ -126,6 +129,21 @@ def test_before_a_game_it_is_what_the_next_one_is_sampled_from() -> None:
         state = here.get_state()
         assert here.reset()[0].tobytes() == there.set_state(state).tobytes()
         assert what_follows(here, [2]) == what_follows(there, [2])
+
+
+def test_a_copy_is_made_of_what_does_not_fly_yet() -> None:
+    for kind, then in ((Hover, "set_state"), (Swarm, "reset")):
+        here: Any = kind()
+        there = [deepcopy(here), pickle.loads(pickle.dumps(here))]
+        begun = [repr(each.reset(seed=1)) for each in (here, *there)]
+        assert begun == begun[:1] * 3
+        for copied in (deepcopy, pickle.dumps):
+            with pytest.raises(UserError, match=rf"^{kind.__name__}: what flies cannot be copied .* and {then}"):
+                copied(here)
+        for each in (here, *there):
+            each.close()
+    with closing(KernelBatch(Hover)) as lanes, pytest.raises(UserError, match=r"^KernelBatch: .* and reset\(seed="):
+        deepcopy(lanes)
 
 
 class Onlooker(Observer):

@@ -87,9 +87,12 @@ def file_beside(name: str | Path) -> Path:
 
 
 def look_also_in(folder: object) -> None:
-    """Look code up in a folder that a run or a policy has noted, too; there only what was trusted before may run."""
-    if isinstance(folder, str) and (noted := Path(folder)) not in _noted:
-        _noted.append(noted)
+    """Look code up in a folder that a run or a policy has noted, too; there only what was trusted before may run.
+
+    What another has noted before is looked up after it: their files may have the same names.
+    """
+    if isinstance(folder, str):
+        _noted[:] = dict.fromkeys((Path(folder), *_noted))
 
 
 def own_class(place: str, where: str, *bases: type) -> type[Any]:

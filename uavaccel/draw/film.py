@@ -323,7 +323,7 @@ def write(
     cv2.putText(page, text, (x, y), font, size, colour, 1, cv2.LINE_AA)
 
 
-GROUND, OUTSIDE, WALL = (240, 240, 240), (222, 222, 222), (110, 110, 110)
+GROUND, WALL = (240, 240, 240), (110, 110, 110)
 OBSTACLE, TRACK, DRONE, GOAL = (70, 70, 70), bgr(BLUE), bgr(VERMILION), bgr(GREEN)
 WALL_M = 0.25  # thickness on the map
 BEHIND = 0.25  # share of the near map that lies behind the drone
@@ -384,16 +384,14 @@ def draw_lane(layout: LaneLayout | ClutterLayout | None, view: View) -> Bgr:
 
     The image is (height, width, 3), BGR.
     """
+    picture = blank(view.size, GROUND)
     if not isinstance(layout, LaneLayout):
-        picture = blank(view.size, GROUND)
         for row in layout.rows[layout.standing] if layout else ():  # a shape's outline from above
             along, across = (CORNERS if int(row[KIND]) == BOX else ROUND).T * row[HALF_X : HALF_Y + 1, None]
             north, west = row[X] + row[COS] * along - row[SIN] * across, row[Y] + row[SIN] * along + row[COS] * across
             cv2.fillPoly(picture, [view.pixels(np.stack([north, -west], axis=1))], OBSTACLE, cv2.LINE_AA, SUBPIXEL)
         return picture
-    picture = blank(view.size, OUTSIDE)
     half = WIDTH_M / 2
-    _box(picture, view, (-10.0, LENGTH_M + 10.0), (-half, half), GROUND)
     for walls in ((half, half + WALL_M), (-half - WALL_M, -half)):
         _box(picture, view, (-10.0, LENGTH_M + 10.0), walls, WALL)
     _box(picture, view, (LENGTH_M, LENGTH_M + 0.4), (-half, half), GOAL)

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from uavaccel.config import MOST_GAMES, MOST_PROCESSES
 from uavaccel.envs.arrays import mapped, select
-from uavaccel.envs.checks import actions_of, check_render_mode, lanes_of, make_task, seeds_of, whole_number
+from uavaccel.envs.checks import actions_of, check_render_mode, lanes_of, make_task, refuse_copy, seeds_of, whole_number
 from uavaccel.envs.environment_process import EnvironmentProcesses, Options, SlotsHere, observations_of
 from uavaccel.envs.flight_env import FlightEnv
 from uavaccel.envs.values import Actions, Answer, Batch, Info, Observation, Steps
@@ -53,6 +53,8 @@ def set_up(batch: Any, environment: type[FlightEnv[Any]], num_envs: int, mode: o
 
 class TurnBatch(Batch, ABC):
     """A vector environment whose `step` is the start of a command in some environments and the wait for its end."""
+
+    __getstate__ = refuse_copy
 
     # --- Gymnasium --------------------------------------------------------------------------------
 

@@ -5,16 +5,17 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping, Sequence
+from copy import deepcopy
 from dataclasses import astuple, replace
 from numbers import Integral, Real
-from typing import Any, TypeVar, get_args
+from typing import Any, NoReturn, TypeVar, get_args
 
 import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
 from uavaccel.config import validate
-from uavaccel.envs.task import Mirror, Task, told_of
+from uavaccel.envs.task import Mirror, Task, as_frame, told_of
 from uavaccel.envs.values import AT_REST, CONDITIONS, Action, Actions, Course, Moment
 from uavaccel.errors import UserError
 from uavaccel.kinematics import FlightGoal, Kinematics
@@ -38,6 +39,14 @@ def make_task(task_class: type[TaskT], keys: Mapping[str, object], name: str) ->
         if unknown:
             raise UnexpectedKeyword(f"{error} (got an unexpected keyword argument {unknown[0]!r})") from error
         raise
+
+
+def refuse_copy(environment: object) -> NoReturn:
+    """Refuse to be copied or pickled, as `__getstate__`."""
+    then = "set_state(what get_state returns)" if hasattr(environment, "set_state") else "reset(seed=the same)"
+    raise UserError(
+        f"{type(environment).__name__}: what flies cannot be copied or pickled: make another of its keys and {then}"
+    )
 
 
 def check_render_mode(render_mode: object) -> str | None:
@@ -135,17 +144,24 @@ class Functions:
         self._course, self._text = course, json.dumps(course)
 
     def __call__(self, name: str, *arguments: object) -> Any:
+        same = deepcopy(arguments)
+        returned = self._returned(name, arguments)
+        if json.dumps(self._course, default=str) != self._text:
+            raise self.wrong(name, "changes the course that it is given; only advance does, by returning another")
+        if name != "info" and repr(self._returned(name, same)) != repr(returned):  # in which nothing is flown by
+            what = "called again with the same, returns something else; draw numbers from the generator of sample alone"
+            raise self.wrong(name, what)
+        return returned
+
+    def _returned(self, name: str, arguments: tuple[object, ...]) -> Any:
         try:
             with errors_named(self._files):
-                returned = getattr(self._task, name)(*arguments)
+                return getattr(self._task, name)(*arguments)
         except UserError as error:
             named = str(error).startswith(tuple(map(str, self._files)))
             raise error if named else self.wrong(name, str(error)) from error
         except Exception as error:  # of the call itself, as for a wrong number of arguments
             raise self.wrong(name, f"{type(error).__name__}: {error}") from error
-        if json.dumps(self._course, default=str) != self._text:
-            raise self.wrong(name, "changes the course that it is given; only advance does, by returning another")
-        return returned
 
     def mapping(self, name: str, *arguments: object) -> Mapping[str, Any]:
         if not isinstance(returned := self(name, *arguments), Mapping):
@@ -225,12 +241,8 @@ def _check_features(task: Task, call: Functions, state: Kinematics, course: Mapp
     if task.observation != "state" and not task.also_state:
         return
     name = features_name(task)
-    try:
-        with np.errstate(over="ignore"):
-            numbers = np.asarray(call(name, state, course), np.float32)
-    except (TypeError, ValueError) as error:
-        said = str(error).partition(". ")[0]
-        raise call.wrong(name, f"must return numbers, in lists of equal length: {said}") from error
+    with np.errstate(over="ignore"):
+        numbers = as_frame(task, call(name, state, course), name)
     if not numbers.size:
         raise call.wrong(name, "returned no numbers")
     check_features(task, numbers, numbers.shape)

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from uavaccel.envs.arrays import mapped
 from uavaccel.envs.batch import set_up
-from uavaccel.envs.checks import ROUNDING, seeds_of
+from uavaccel.envs.checks import ROUNDING, refuse_copy, seeds_of
 from uavaccel.envs.cuda_games import SampledAhead
 from uavaccel.envs.cuda_lanes import CudaLanes
 from uavaccel.envs.flight_env import FlightEnv
@@ -60,6 +60,8 @@ class CudaBatch(VectorEnv[Any, Any, Any]):
         self._actions = _Actions(self.single_action_space, num_envs, self.device)
         self._unread: deque[tuple[Any, th.Tensor, th.Tensor]] = deque()
         self._behind = BEHIND if isinstance(self._lanes.games, SampledAhead) else FAR_BEHIND
+
+    __getstate__ = refuse_copy
 
     @property
     def object_names(self) -> tuple[str, ...]:

@@ -165,7 +165,8 @@ class LaneView(View):
         sums.zero_()
         going = kernels.shared(which)
         if self.kind == DVS:
-            self._draw_gray(going, self._now)
+            if self._plain:  # otherwise it has been drawn to be seen
+                self._draw_gray(going, self._now)
             sums[:, 0], sums[:, 1:] = self._gray.sum((1, 2)), -1
             return
         seen = self._faces, self._shown, self._looks, kernels.shared(sums)

@@ -28,6 +28,7 @@ from uavaccel.envs.checks import (
     check_reward,
     known_options,
     make_task,
+    refuse_copy,
     seed_of,
     within,
 )
@@ -79,7 +80,6 @@ class FlightEnv(gymnasium.Env[Observation, Action], Generic[TaskT]):
         self.action_space = self.task.action_space()
         self.sensor, self._told = self.task.sensor(), self.task.told
         self._context = self.task.context_planes()
-        self._command = COMMANDS[self.task.command]
         self._frames: deque[Frame] = deque(maxlen=self.task.frames_per_command * self.task.history)
         self._taken_ns: deque[int] = deque(maxlen=self._frames.maxlen)
         self._acted, self._decides_ns = NO_ACTION, 0  # which and when, for what is told beside the frames
@@ -161,6 +161,9 @@ class FlightEnv(gymnasium.Env[Observation, Action], Generic[TaskT]):
         if self._session is not None:
             self._session.close()
         self._session = self._client = None
+
+    def __getstate__(self) -> object:
+        return super().__getstate__() if self._session is None else refuse_copy(self)
 
     # --- time, and going on after a stop ----------------------------------------------------------
 
@@ -288,7 +291,7 @@ class FlightEnv(gymnasium.Env[Observation, Action], Generic[TaskT]):
         self._frames.extend([seen] * (self._frames.maxlen or 0))
         self._taken_ns.extend([state.time_ns] * (self._frames.maxlen or 0))
         self._acted, self._decides_ns = NO_ACTION, state.time_ns
-        self._command.begin(client)
+        COMMANDS[task.command].begin(client)
         game = Game(task, session, self._noise, first.state)
         for observer in self._observers:
             observer.game_begun(game)
@@ -302,7 +305,7 @@ class FlightEnv(gymnasium.Env[Observation, Action], Generic[TaskT]):
         if task.mediation != Mediation():
             self._fly_gap(client, task.mediation)
         times = task.t_move_s, task.t_sample_s, task.t_th_ns, seconds_to_ns(task.mediation.image_age_s)
-        for sample in self._command.fly(client, goal, *times):
+        for sample in COMMANDS[task.command].fly(client, goal, *times):
             gathered_ns = client.now_ns()
             for observer in self._observers:
                 observer.sample_taken(sample, now.commands)

@@ -15,7 +15,7 @@ from pydantic import Field, model_validator
 
 from uavaccel.config import Count, Speed
 from uavaccel.envs.arrays import copied
-from uavaccel.envs.checks import check_reward, make_task, seed_of, within
+from uavaccel.envs.checks import check_reward, make_task, refuse_copy, seed_of, within
 from uavaccel.envs.judging import autopilot_goal
 from uavaccel.envs.sensors import Sensor
 from uavaccel.envs.task import Mediation, Positive, Task, distance, position_option, told_of
@@ -148,6 +148,9 @@ class Swarm(ParallelEnv):  # type: ignore[misc]
         self._world: World | None = None
         self._sensors: dict[str, Sensor] = {agent: task.sensor() for agent in self.possible_agents}
         self._moments: dict[str, Moment] = {}
+
+    def __getstate__(self) -> object:
+        return super().__getstate__() if self._world is None else refuse_copy(self)
 
     def observation_space(self, agent: str) -> Any:
         return self.observation_spaces[agent]

@@ -274,7 +274,7 @@ class Task(Config):
 
     def _blank_features(self) -> NDArray[np.float32]:
         features = self.features(AT_REST, self.sample(np.random.default_rng(0), {}))
-        return np.zeros_like(np.asarray(features, np.float32))
+        return np.zeros_like(as_frame(self, features, "features"))
 
     @property
     def dvs_parameters(self) -> DvsParameters:
@@ -325,7 +325,7 @@ class Task(Config):
 
         Of n games, each number is an array (n,), and arrays of a frame (..., n).
         """
-        features = np.array(self.fields(state, course), np.float32)
+        features = as_frame(self, self.fields(state, course), "fields")
         return features if self.flat_state else features[None]
 
     def mirrored(self) -> Mirror | None:
@@ -425,6 +425,17 @@ class Task(Config):
     def info(self, now: AnyMoment) -> Info:
         """Return the task's own items of infos, beside those of `FlightEnv`."""
         return dict(now.course)
+
+
+def as_frame(task: Task, numbers: object, name: str) -> NDArray[np.float32]:
+    """Return what a task's function of that name returned, as an array. Raises UserError for what has no shape."""
+    try:
+        return np.array(numbers, np.float32)  # of its own, which is kept
+    except (TypeError, ValueError) as error:
+        from uavaccel.envs.checks import Functions
+
+        said = str(error).partition(". ")[0]
+        raise Functions(task).wrong(name, f"must return numbers, in lists of equal length: {said}") from error
 
 
 @lru_cache(maxsize=256)

@@ -185,12 +185,18 @@ def _by_stamps(read: Callable[[Path], R]) -> Callable[[Path], R]:
     return wraps(read)(lambda path: cached(path, stamp(path / MANIFEST), stamp(path / WEIGHTS)))
 
 
-@_by_stamps
 def read_manifest(path: Path) -> tuple[Mapping[str, Plain], LearnerConfig]:
     """Read the manifest of the policy in a folder; returns it and the configuration of the training.
 
     Raises UserError if there is none, or if the file of weights has another hash than the manifest says.
     """
+    manifest, config = _read_manifest(path)
+    look_also_in(manifest.get("own_code"))  # each time: another policy's may have been looked up since
+    return manifest, config
+
+
+@_by_stamps
+def _read_manifest(path: Path) -> tuple[Mapping[str, Plain], LearnerConfig]:
     manifest = _parsed_manifest(path)
     wanted = manifest.get("weights_file_sha256")
     if wanted is not None and file_sha256(path / WEIGHTS) != wanted:

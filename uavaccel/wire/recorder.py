@@ -54,8 +54,8 @@ class Recorder:
         self._images: dict[tuple[int, str], list[str]] = {}  # names of the files by tick and vehicle
         self._others: dict[int, list[tuple[Vehicle, list[float]]]] = {}  # poses by tick of vehicles beside the first
         self._last_pose: dict[str, list[float]] = {}
+        self._takes_images, self._further, self._looked_at = False, self._simulation.world.vehicles[:0], -1
         self._stop_watching: Callable[[], None] = lambda: None
-        self._look: Callable[[int], None] = _look_at_nothing
         self._folders, self._counted_ns = 0, 0
 
     def start(self, wall_ns: int = 0) -> None:
@@ -92,7 +92,6 @@ class Recorder:
         self._stop_watching()
         self._stop_watching = lambda: None
         self.keep()
-        self._look = _look_at_nothing
         if self._file is not None:
             self._file.close()
             self._file = None
@@ -128,39 +127,36 @@ class Recorder:
 
     def _watch(self) -> None:
         """Take the images that the settings list and the poses of further vehicles, at each sample from now on."""
-        world, others = self._simulation.world, self._simulation.world.vehicles[1:]
-        takes_images = bool(self._settings.cameras) and self._scenery.render
         self._stop_watching()
-        self._stop_watching, self._look = lambda: None, _look_at_nothing
-        if self._file is None or not (takes_images or others):
+        self._stop_watching = lambda: None
+        if self._file is None:
             return
         self._images.clear()
         self._others.clear()
-        looked_at = -1
+        world = self._simulation.world
+        self._takes_images, self._further = bool(self._settings.cameras) and self._scenery.render, world.vehicles[1:]
+        self._take(world.tick)
+        self._stop_watching = world.watch(self._simulation.profile.recorder_ticks, self._look, world.tick)
 
-        def look(tick: int) -> None:
-            nonlocal looked_at, takes_images
-            if tick <= looked_at:
-                return
-            first, looked_at = looked_at < 0, tick
-            states = [(vehicle, vehicle.kinematics(in_world=True)) for vehicle in others]
-            self._others[tick] = [(each, [*state.position_m, *state.orientation_wxyz]) for each, state in states]
-            try:
-                if takes_images:
-                    self._take_images(tick)
-            except (OSError, ValueError, UserError) as error:  # of the images, not of the flight
-                if first:
-                    raise
-                self._say(f"warning: the recording of images ends here: {error}")
-                takes_images = False
+    def _look(self, tick: int) -> None:
+        """Take what belongs to the sample of the present tick, once."""
+        if self._file is None or tick <= self._looked_at:
+            return
+        try:
+            self._take(tick)
+        except (OSError, ValueError, UserError) as error:  # of the images, not of the flight
+            self._say(f"warning: the recording of images ends here: {error}")
+            self._takes_images = False
 
-        look(world.tick)
-        self._look = look
-        self._stop_watching = world.watch(self._simulation.profile.recorder_ticks, look, world.tick)
+    def _take(self, tick: int) -> None:
+        self._looked_at = tick
+        states = [(vehicle, vehicle.kinematics(in_world=True)) for vehicle in self._further]
+        self._others[tick] = [(each, [*state.position_m, *state.orientation_wxyz]) for each, state in states]
+        if self._takes_images:
+            self._take_images(tick)
 
     def _take_images(self, tick: int) -> None:
-        if self._file is None:
-            return
+        assert self._file is not None
         folder = Path(self._file.name).parent / IMAGES
         folder.mkdir(exist_ok=True)
         stamp = types.stamp(self._simulation.time_of(tick))
@@ -185,10 +181,6 @@ class Recorder:
         images = ";".join(self._images.pop((tick, vehicle.name), []))
         values = (f"{value:.9g}" for value in (x, y, z, *pose[3:]))
         return "\t".join((vehicle.name, str(time_ms), *values, images)) + "\n"
-
-
-def _look_at_nothing(tick: int) -> None:
-    """Take nothing beside the samples."""
 
 
 def _new_folder(parent: Path) -> Path:
