@@ -205,9 +205,9 @@ class SimulatedFlight:
         pass
 
     def _send(self, method: str, params: tuple[object, ...], blocking: bool) -> PendingCall:
+        self._check_caller()
         from uavaccel.airsim.connection import as_sent
 
-        self._check_caller()
         self._stop_at_the_end()
         self._calls_since_wait += 1
         self._clock.charge(self._think_ns + (self._poll_ns if self._calls_since_wait > FREE_CALLS else 0))
@@ -224,9 +224,9 @@ class SimulatedFlight:
             raise FlightOver
 
     def _wait(self, call: PendingCall, number: int) -> None:
+        self._check_caller()
         from uavaccel.airsim.connection import as_received
 
-        self._check_caller()
         if call.deferred is not None:
             self._calls_since_wait = 0
         patient_until_ns: int | None = self._clock.now_ns() + self._patience_ns
