@@ -123,13 +123,18 @@ class SimulatedFlight:
             SharedModules(patches, self._turns, modules, outside, clock)
             if options.film:
                 stack.enter_context(filming(self._world.simulation, options.folder))
+            stack.callback(self._let_nobody_fly)
             outcome = run_script(options.script, options.arguments, self._outlive)
             self._catch_up()  # to the end of the script's last wait
             return outcome._replace(wall_s=outcome.wall_s - self.unflown_s)
 
-    def end(self) -> None:
-        """Write the trajectory, and print which calls were refused. Later calls, of destructors, raise FlightOver."""
+    def _let_nobody_fly(self) -> None:
+        """Let later calls, such as those of destructors, raise FlightOver."""
         self._over = True
+
+    def end(self) -> None:
+        """Write the trajectory, and print which calls were refused."""
+        self._let_nobody_fly()
         self._stack.close()  # it is open where the script did not let it end
         if not self._has_world():
             return
