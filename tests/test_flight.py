@@ -24,6 +24,7 @@ from uavaccel.suites.dp2 import Dp2
 from uavaccel.suites.evaluate import EvaluateConfig, Evaluation
 from uavaccel.suites.evaluate_again import equal_windows
 from uavaccel.suites.flight import Commands, Flight, Window, film_of
+from uavaccel.suites.seeds import Seeds
 from uavaccel.suites.suite import Suite
 from uavaccel.vision.dvs import PRESETS
 from uavaccel.wire.image_api import lane_layout
@@ -58,6 +59,8 @@ def test_a_suite_that_keeps_recordings_has_flights_for_free(tmp_path: Path) -> N
     np.testing.assert_array_equal(flight.position_m, arrays["position_m"])
     with pytest.raises(UserError, match="a run of dp1 keeps no flights to show"):
         Suite.flight(Dp1(), report, {"case": "a"})
+    with pytest.raises(UserError, match=f"^{run.path}: a run of seeds has its flights in the runs below parts/; take"):
+        Seeds().flight(report, row)
     del arrays["position_m"], arrays["command_end_s"]
     run, row = run_with(tmp_path / "other", configured("dp1"), {}, arrays)
     with pytest.raises(UserError, match=r"the arrays of a have no position_m, command_end_s$"):

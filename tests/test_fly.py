@@ -325,15 +325,19 @@ def test_a_trajectory_is_written_as_arrays_and_as_a_table(tmp_path: Path) -> Non
 
 
 def test_in_wall_time_the_trajectory_is_the_servers_recording(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Whole milliseconds, and places to which velocities belong; the flight ends by the machine's clock."""
-    rows = [f"A\t{1000 + 50 * n}\t{0.1 * n}\t0\t-1\t1\t0\t0\t0\t" for n in range(3)]
-    for name, part in (("2021", rows[2:]), ("2020", rows[:2])):  # a script has begun another one
+    """Of the first vehicle: whole milliseconds, and places to which velocities belong.
+
+    The flight ends by the machine's clock.
+    """
+    row = "{0}\t{1}\t{2}\t0\t-1\t1\t0\t0\t0\t".format
+    rows = [row(name, 1000 + 50 * n, 0.1 * n + ord(name)) for n in range(3) for name in "BA"]
+    for name, part in (("2021", rows[4:]), ("2020", rows[:4])):  # a script has begun another one
         (made := tmp_path / "recordings" / name).mkdir(parents=True)
         (made / "airsim_rec.txt").write_text("\n".join(["header", *part]) + "\n")
     options = FlightOptions(tmp_path / "script.py", (), tmp_path, "wall")
     log = MessageLog(tmp_path)
     log.close()
-    flight = wall.WallFlight(options, None, 4.0, log)
+    flight = wall.WallFlight(options, Settings.model_validate({"Vehicles": {"B": {}, "A": {}}}), 4.0, log)
     flight.end()
     with np.load(tmp_path / "trajectory.npz") as kept:
         assert kept["time_ns"].tolist() == [1_000_000_000, 1_050_000_000, 1_100_000_000]

@@ -190,9 +190,18 @@ def test_output_that_nobody_takes_is_one_line_and_none_for_nobody(
 # --- how a flight ends ---------------------------------------------------------------------------------------------
 
 
-def test_what_is_called_at_exit_may_still_fly(folder: Folder) -> None:
+def test_what_is_called_at_exit_and_then_destroyed_may_still_fly(folder: Folder) -> None:
     text = """
-        import airsim, atexit
+        import airsim, atexit, time
+
+        class Env:
+            def __init__(self):
+                self.client, self.itself = airsim.MultirotorClient(), self
+            def __del__(self):
+                time.sleep(1)
+                print(env is self, self.client.hoverAsync().get(), self.client.reset())
+
+        env = Env()
         client = airsim.MultirotorClient()
         client.enableApiControl(True)
 
@@ -206,7 +215,7 @@ def test_what_is_called_at_exit_may_still_fly(folder: Folder) -> None:
         print("first")
     """
     done = folder.fly_here(text)
-    assert done.stdout.splitlines() == ["first", "False True", "last"]
+    assert done.stdout.splitlines() == ["first", "False True", "last", "True False None"]
     assert done.stderr.splitlines()[-1] == "ZeroDivisionError: division by zero"
     assert "uavaccel" not in done.stderr
 

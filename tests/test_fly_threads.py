@@ -624,6 +624,33 @@ def test_a_wait_without_an_end_ends_with_the_flight() -> None:
     assert clock.now_ns() == 3 * NS_PER_S
 
 
+def test_a_thread_that_lets_no_other_one_run_is_told_of_once(
+    monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """It may wait for that one, as on Python's own threads. Who waits for an event waits for nobody's turn."""
+    monkeypatch.setattr("uavaccel.fly.turns.BUSY_S", 0.01)
+    modules: Any = ThreadModules(Turns(VirtualClock(), limit_ns=3 * NS_PER_S)).threading
+    event, woken, said = modules.Event(), list[bool](), ""
+    waits = modules.Thread(target=event.wait)
+    waits.start()
+    waits.join(1.0)
+    time.sleep(0.1)
+    assert not capfd.readouterr().err
+    other = modules.Thread(target=woken.append, args=(True,))
+    other.start()
+    while not said:
+        said = capfd.readouterr().err
+    assert re.fullmatch(
+        r"uavaccel: warning: the script has computed for 0\.01 s, and its other .* --timing wall\n", said
+    )
+    assert not woken
+    event.set()
+    for thread in (other, waits):
+        thread.join()
+    assert woken
+    assert not capfd.readouterr().err
+
+
 def test_a_forked_process_waits_by_its_own_clock() -> None:
     """Beyond the flight's end, and without the threads that it does not have."""
     turns, own = Turns(VirtualClock(), limit_ns=3 * NS_PER_S), VirtualClock(5 * NS_PER_S)

@@ -406,7 +406,7 @@ def test_a_training_that_cannot_be_is_one_clear_line(keys: dict[str, Any], said:
     ("keys", "said"),
     [
         ({"env_id": "uavaccel/Gates-v0"}, "flies uavaccel/Hover-v0; omit the key"),
-        ({"task.t_move_s": 0.4}, "was trained with other observations or actions"),
+        ({"task.t_move_s": 0.4}, "was trained with other observations or actions: t_move_s = 0.2, not 0.4"),
         ({"agent": "straight", "env_id": "uavaccel/Hover-v0"}, "straight flies uavaccel/ObstacleLane-v0; omit the key"),
     ],
 )

@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 from matplotlib.figure import Figure
 
+import uavaccel
 from tests.drawing import labelled, record_figures
 from tests.learning import kill_at_row, tiny_config, train_into
 from tests.made_runs import run_of
@@ -78,7 +79,7 @@ def test_an_interval_of_evaluations_covers_the_lanes(tmp_path: Path) -> None:
     assert widths[1] == pytest.approx([0.0688] * 2, abs=1e-3)
 
 
-def test_an_option_makes_a_training_one_over_seeds(tmp_path: Path) -> None:
+def test_an_option_makes_a_training_one_over_seeds(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Its other options and keys are the training's, on the way there as when it goes on."""
     config = configured("train", "task.speed_m_s=2", seeds=3, seed=5, games=4)
     assert (config.suite, config.seed, config.seeds) == ("seeds", 5, 3)
@@ -91,8 +92,12 @@ def test_an_option_makes_a_training_one_over_seeds(tmp_path: Path) -> None:
         assert next(plan.lines()).startswith("12 games in 3 trainings (3 lockstep: modelled), 2,340 simulated s")
         RunDirectory.create(plan.out, plan.config, {})
     more = {"seeds": 4, "games": 6, "clock_speed": 1.0}
-    again = configure(RunRequest(None, more, out=tmp_path / "run", resume=True, suite="train"))[1]
-    assert (again.seeds, again.training.games) == (4, 6)
+    asked = [RunRequest(None, more, out=tmp_path / "run", resume=True, suite="train")]
+    monkeypatch.setattr("uavaccel.api._flown", asked.append)
+    uavaccel.train(out=tmp_path / "run", resume=True, seeds=4, games=6)
+    for request in asked:
+        again = configure(request)[1]
+        assert (again.seeds, again.training.games) == (4, 6)
     with pytest.raises(UsageError, match="is of seeds, not of evaluate; take `uavaccel train`"):
         configure(RunRequest(None, out=tmp_path / "run", resume=True, suite="evaluate"))
 

@@ -339,7 +339,7 @@ LOOKS = """<visual><headlight active="0"/><map znear="0.01"/></visual><statistic
         ("<camera", '<camera mode="track"', "a fixed camera of the drone"),
         ("<camera", '<camera projection="orthographic"', "a fixed camera of the drone"),
         ('active="0"', 'active="1"', "without a headlight"),
-        (' specular="0 0 0"', "", "without gloss"),
+        (' specular="0 0 0"', "", "without gloss: let the sun's specular and each reflectance be 0"),
         ('name="paint"', 'name="paint" reflectance="0.3"', "without gloss"),
         ('directional="true" ', "", "one directional light"),
         ('fovy="58.7155"', 'sensorsize="1 1" focal="1 1" resolution="1 1"', "a fixed camera of the drone"),

@@ -73,8 +73,9 @@ def train(
 
     named = None if experiment is None and resume else experiment or "train"
     named = _file_and_class(named) if isinstance(named, type) else named and _name(named, "the class of a task")
+    options = {"seeds": seeds, "games": keys.pop("games", None)}  # of each training, where there are several
     how = jobs, _path(out), resume, False, "train"
-    return _flown(RunRequest(named, {"seeds": seeds}, _overrides(keys), *how, trust=trust))
+    return _flown(RunRequest(named, options, _overrides(keys), *how, trust=trust))
 
 
 def evaluate(

@@ -278,7 +278,8 @@ def refuse_other_config(path: Path, config: Config, may_grow: Collection[str]) -
     )
     if there.get("suite") != here.get("suite"):
         raise UserError(
-            f"{path}: is a run of another suite, {there.get('suite')}, not of {here['suite']}; take another --out"
+            f"{path}: is a run of another suite, {there.get('suite')}, not of {here['suite']}; "
+            "name no experiment to go on with it, or take another --out"
         )
     other = [key for key in sorted(there.keys() | here.keys()) if there.get(key) != here.get(key)]
     both = [key for key in other if key in may_grow and key in there and _counts(there[key]) == _counts(here[key])]

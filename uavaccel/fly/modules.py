@@ -129,10 +129,11 @@ def importing(everywhere: Modules, in_scripts: Mapping[str, ModuleType]) -> Iter
 def of_a_script(namespace: Mapping[str, object] | None) -> bool:
     """Return whether a module's file belongs to neither Python, nor an installed package, nor this one."""
     file = (namespace or {}).get("__file__")
-    if not file:
-        return False
-    path = str(Path(str(file)).absolute())
-    return not path.startswith(_LIBRARIES) and "site-packages" not in path and not path.startswith(_OWN)
+    return bool(file) and not _is_library(str(file)) and not _is_library(str(Path(str(file)).absolute()))
+
+
+def _is_library(path: str) -> bool:
+    return path.startswith(_LIBRARIES) or "site-packages" in path or path.startswith(_OWN)
 
 
 def called_by_a_script(through: Collection[str] = sys.stdlib_module_names) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import atexit
+import gc
 import io
 import os
 import sys
@@ -17,7 +18,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from uavaccel.clock import MonotonicClock
 from uavaccel.errors import UserError
 from uavaccel.files import read_bounded
-from uavaccel.fly.modules import Patches, called_by_a_script
+from uavaccel.fly.modules import Patches, called_by_a_script, of_a_script
 from uavaccel.units import NS_PER_S
 
 if TYPE_CHECKING:
@@ -123,8 +124,13 @@ def run_script(path: Path, arguments: tuple[str, ...], outlive: Callable[[], Non
 
 @contextmanager
 def _still_flying_at_exit() -> Iterator[None]:
-    """At the end of the `with` block, call what the script has registered with `atexit`, which may still fly."""
-    register, unregister, acts = atexit.register, atexit.unregister, list[partial[object]]()
+    """At the end of the `with` block, call what the script has registered with `atexit`, and destroy what it holds.
+
+    All of that may still fly.
+    """
+    register, unregister = atexit.register, atexit.unregister
+    last: Callable[[], object] = _let_go
+    acts = [partial(last)]
 
     def register_for(function: Callable[..., object], /, *given: object, **named: object) -> Callable[..., object]:
         if not called_by_a_script(()):
@@ -177,6 +183,20 @@ def _run(code: CodeType, path: Path, arguments: tuple[str, ...]) -> tuple[int, s
             print(f"uavaccel: {ADVICE}", file=sys.stderr)
         return 1, f"{type(error).__name__}: {error}".partition("\n")[0].removesuffix(": ")
     return 0, None
+
+
+def _let_go() -> None:
+    """Destroy what the script holds, as Python does at its end, if any of it has a destructor."""
+    modules = [vars(module) for module in list(sys.modules.values()) if isinstance(module, ModuleType)]
+    own = [namespace for namespace in modules if of_a_script(namespace)]
+    sys.modules["__main__"] = ModuleType("__main__")
+    if any(map(_has_destructors, own)):
+        del modules, own
+        gc.collect()
+
+
+def _has_destructors(namespace: dict[str, object]) -> bool:
+    return any(isinstance(value, type) and "__del__" in vars(value) for value in list(namespace.values()))
 
 
 def compiled(path: Path) -> CodeType:

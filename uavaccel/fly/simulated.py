@@ -123,13 +123,18 @@ class SimulatedFlight:
             SharedModules(patches, self._turns, modules, outside, clock)
             if options.film:
                 stack.enter_context(filming(self._world.simulation, options.folder))
+            stack.callback(self._let_nobody_fly)
             outcome = run_script(options.script, options.arguments, self._outlive)
             self._catch_up()  # to the end of the script's last wait
             return outcome._replace(wall_s=outcome.wall_s - self.unflown_s)
 
-    def end(self) -> None:
-        """Write the trajectory, and print which calls were refused. Later calls, of destructors, raise FlightOver."""
+    def _let_nobody_fly(self) -> None:
+        """Let later calls, such as those of destructors, raise FlightOver."""
         self._over = True
+
+    def end(self) -> None:
+        """Write the trajectory, and print which calls were refused."""
+        self._let_nobody_fly()
         self._stack.close()  # it is open where the script did not let it end
         if not self._has_world():
             return
@@ -205,9 +210,9 @@ class SimulatedFlight:
         pass
 
     def _send(self, method: str, params: tuple[object, ...], blocking: bool) -> PendingCall:
+        self._check_caller()
         from uavaccel.airsim.connection import as_sent
 
-        self._check_caller()
         self._stop_at_the_end()
         self._calls_since_wait += 1
         self._clock.charge(self._think_ns + (self._poll_ns if self._calls_since_wait > FREE_CALLS else 0))
@@ -224,9 +229,9 @@ class SimulatedFlight:
             raise FlightOver
 
     def _wait(self, call: PendingCall, number: int) -> None:
+        self._check_caller()
         from uavaccel.airsim.connection import as_received
 
-        self._check_caller()
         if call.deferred is not None:
             self._calls_since_wait = 0
         patient_until_ns: int | None = self._clock.now_ns() + self._patience_ns

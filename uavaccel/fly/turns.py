@@ -7,6 +7,7 @@ lock and a thread that wait in this way are all that Python's own conditions, qu
 
 from __future__ import annotations
 
+import sys
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -21,7 +22,9 @@ from uavaccel.processes.lifetime import END_WITH_PARENT
 from uavaccel.units import NS_PER_S
 
 FOREIGN_S = 1e-3  # the machine's time between two checks of what has happened outside of the turns
-OURS = {END_WITH_PARENT}  # names of such threads that do nothing for a script
+BUSY_S = 10.0  # the machine's time for which a thread may compute before it is worth a line that others wait
+BUSY = "uavaccel: busy loops"
+OURS = {END_WITH_PARENT, BUSY}  # names of such threads that do nothing for a script
 Class = TypeVar("Class", bound=type)
 TURN_POLL_NS = 1_000_000  # a thread whose answer depends on another thread polls at this interval
 
@@ -64,6 +67,7 @@ class Turns:
         self.running: list[Thread] = []
         self.before_passing: Callable[[], None] = lambda: None  # called by a thread that lets another one run
         self.simulated = True  # no longer so in a forked process
+        self._passed, self._is_watched = 0, False
 
     def now_ns(self) -> int:
         return self._clock.now_ns()
@@ -133,6 +137,23 @@ class Turns:
         if following is not None:
             following.begins.set()
 
+    def tell_of_busy_loops(self) -> None:
+        """Say in a line, while there are threads, if one of them does not let the others run, which may be for ever."""
+        if not self._is_watched:
+            self._is_watched = True
+            threading.Thread(target=self._watch, name=BUSY, daemon=True).start()
+
+    def _watch(self) -> None:
+        passed = -1
+        while self.running and self.simulated:
+            if passed == self._passed and any(turn.wake_ns < self._limit_ns for turn in self._waiting):
+                said = f"the script has computed for {BUSY_S:g} s, and its other threads wait until it sleeps or calls"
+                print(f"uavaccel: warning: {said}; if it waits for them: --timing wall", file=sys.stderr, flush=True)
+                return
+            passed = self._passed
+            threading.Event().wait(BUSY_S)
+        self._is_watched = False
+
     def forked(self, clock: WallClock) -> None:
         """In a forked process, go on with its only thread on another clock."""
         self._clock, self._limit_ns, self.simulated = clock, inf, False
@@ -149,6 +170,7 @@ class Turns:
 
     def _following(self) -> Turn:
         """Take the next thread out of the queue, and advance the clock to its time."""
+        self._passed += 1
         while True:
             now_ns = self.now_ns()
             following = min(self._waiting, key=lambda turn: turn.due(now_ns))
@@ -231,6 +253,7 @@ class Thread(threading.Thread):
         finally:
             self._daemonic = daemon
         self.turns.running.append(self)
+        self.turns.tell_of_busy_loops()
 
     def _run_in_turns(self, turn: Turn, run: Callable[[], None]) -> None:
         self.turns.begin(turn)

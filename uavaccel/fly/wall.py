@@ -103,6 +103,7 @@ class WallFlight:
     def __init__(self, options: FlightOptions, settings: Settings | None, clock_speed: float, log: MessageLog) -> None:
         self._options, self._clock_speed, self._log = options, clock_speed, log
         self._settings = None if settings is None else options.settings
+        self._vehicle = (settings or Settings()).vehicle
         self._slept_s = 0.0
         self._over = threading.Event()
         self._watch: Watch | None = None
@@ -135,7 +136,7 @@ class WallFlight:
         self._stack.close()  # it is open where the script did not let it end
         if self._watch is not None and self._watch.lost:
             raise UserError(f"{self._watch.lost}; the script ends too")
-        self._time_ns, self._poses = recorded(self._options.folder)
+        self._time_ns, self._poses = recorded(self._options.folder, self._vehicle)
         poses = self._poses
         speeds = np.gradient(poses[:, :3], self._time_ns / NS_PER_S, axis=0) if len(poses) > 1 else poses[:, :3] * 0
         write_trajectory(self._options.folder, self._time_ns, np.hstack([poses, speeds]))
@@ -207,12 +208,13 @@ def _stopped_by(number: int, act: Callable[[], object] = lambda: None) -> Iterat
         signal.signal(number, before)
 
 
-def recorded(folder: Path) -> tuple[np.ndarray, np.ndarray]:
-    """Return the samples of the server's recordings in the order of their times: time_ns (n,) and pose (n, 7)."""
+def recorded(folder: Path, vehicle: str) -> tuple[np.ndarray, np.ndarray]:
+    """Return a vehicle's samples in the server's recordings, by their times: time_ns (n,) and pose (n, 7)."""
     rows = [
         line.split("\t")[1:9]
         for file in sorted((folder / RECORDINGS).rglob("airsim_rec.txt"))
         for line in file.read_text(encoding="utf-8").splitlines()[1:]
+        if line.startswith(f"{vehicle}\t")
     ]
     table = np.array(rows, np.float64).reshape(-1, 8)
     return (table[:, 0] * 1e6).astype(np.int64), table[:, 1:]

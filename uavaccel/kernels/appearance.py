@@ -142,11 +142,11 @@ def _sun(model: mujoco.MjModel) -> int:
     if len(suns) != 1 or model.light_type[suns[0]] != mujoco.mjtLightType.mjLIGHT_DIRECTIONAL:
         raise UserError("simulator: kernels draws with one directional light, the sun")
     if headlight.active and np.any([headlight.ambient, headlight.diffuse, headlight.specular]):
-        raise UserError("simulator: kernels draws without a headlight: let it be black")
+        raise UserError("simulator: kernels draws without a headlight: let its colours be 0 0 0")
     if model.light_mode[suns[0]] != mujoco.mjtCamLight.mjCAMLIGHT_FIXED or of_drone[suns[0]]:
         raise UserError("simulator: kernels draws with a sun that stands still: let it be of the world, and fixed")
     if np.any(model.light_specular[suns]) or np.any(model.mat_reflectance):
-        raise UserError("simulator: kernels draws without gloss")
+        raise UserError("simulator: kernels draws without gloss: let the sun's specular and each reflectance be 0")
     return suns[0]
 
 

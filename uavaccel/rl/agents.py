@@ -267,8 +267,11 @@ class PolicyFolder(Origin):
         trained: Task = self._trained.task
         if not (isinstance(task, LaneTask) and isinstance(trained, LaneTask)):
             if _of(task) != _of(trained):
-                others = f"{self.name} was trained with other observations or actions"
-                raise UserError(f"task: {others}: omit what they follow from")
+                here, there = task.model_dump(mode="json"), trained.model_dump(mode="json")
+                keys = [key for key in self.keys() if here.keys() == there.keys() and here[key] != there[key]]
+                other = (f"{key} = {there[key]!r}, not {here[key]!r}" for key in keys)
+                what = ", ".join(other) or "omit what they follow from"
+                raise UserError(f"task: {self.name} was trained with other observations or actions: {what}")
             return
         was = f"{self.name} was trained with"
         for key in ("observation", "also_state", "picture_size", "history", "knows"):

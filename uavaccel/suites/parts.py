@@ -12,12 +12,13 @@ from abc import abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any, TextIO, TypeAlias
+from typing import TYPE_CHECKING, Any, TextIO, TypeAlias
 
 import numpy as np
 from pydantic import Field, field_validator
 
 from uavaccel.config import MOST_PROCESSES, Config
+from uavaccel.errors import UserError
 from uavaccel.files import Plain, inside
 from uavaccel.forms import ArrayForm
 from uavaccel.own_code import file_beside, trusting
@@ -27,6 +28,9 @@ from uavaccel.suites.registry import configuration, find_suite, folder_beside, i
 from uavaccel.suites.report import Report
 from uavaccel.suites.runner import run_suite, start_run
 from uavaccel.suites.suite import AnySuite, CaseType, ConfigType, Suite
+
+if TYPE_CHECKING:
+    from uavaccel.suites.flight import Flight
 
 VISIBLE, EGL_DEVICE = "CUDA_VISIBLE_DEVICES", "MUJOCO_EGL_DEVICE_ID"
 Run: TypeAlias = tuple[AnySuite, Any]
@@ -102,6 +106,11 @@ class SuiteOfRuns(Suite[ConfigType, CaseType]):
         _, first = self.runs(config, next(self.cases(config)))[0]
         acquire_gpu(str(getattr(first, "device", "cpu")))
         yield run
+
+    def flight(
+        self, report: Report, game: Mapping[str, Any], pictures: bool = True, event_rate_hz: float | None = None
+    ) -> Flight:
+        raise UserError(f"{report.run.path}: a run of {self.name} has its flights in the runs below parts/; take one")
 
     def status(self, rows: Sequence[Row]) -> str:
         return f"{rows[-1]['case']} won {rows[-1]['successes']} of {rows[-1]['games']}"

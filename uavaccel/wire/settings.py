@@ -189,9 +189,15 @@ class Settings(AirSimKeys):
         return [name for name in _unknown(self, "") if name not in _NOTES]
 
     def warning(self, path: Path | None) -> str:
-        """Say in a line, which begins with their file, which given keys have no effect; nothing if all have one."""
-        names = self.without_effect()
-        return f"{path}: without effect here: {', '.join(names)}" if names else ""
+        """Say in a line, which begins with their file, which given keys have no effect; nothing if all have one.
+
+        Of those with the same last name, as every camera may have them, the first is named.
+        """
+        alike: dict[str, list[str]] = {}
+        for name in self.without_effect():
+            alike.setdefault(name.rpartition(".")[2], []).append(name)
+        said = (f"{first} and {len(others)} more" if others else first for first, *others in alike.values())
+        return f"{path}: without effect here: {', '.join(said)}" if alike else ""
 
     def as_json(self, clock_speed: float) -> str:
         """Return the answer of getSettingsString: the given settings, with the ClockSpeed that is in effect."""
