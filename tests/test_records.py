@@ -118,29 +118,29 @@ def test_resume_with_another_configuration_names_what_differs(run: RunDirectory,
         resume(run, Clock())
     shrunk = "games = 2: 3 were asked for before, and a run that goes on can only have more; leave it out"
     other_key = r"games \(3 there, 5 here\)"
-    for games, may_grow, said in ((2, ["games"], shrunk), (5, ["clock.speed"], other_key)):
+    for games, may_grow, said in ((2, {"games": ""}, shrunk), (5, {"clock.speed": ""}, other_key)):
         with pytest.raises(UserError, match=said):
             RunDirectory.create(run.path, Flight(games=games), MANIFEST, resume=True, may_grow=may_grow)
     assert (run.path / "config.yaml").read_bytes() == before
-    grown = RunDirectory.create(run.path, Flight(games=5), MANIFEST, resume=True, may_grow=["games"])
+    grown = RunDirectory.create(run.path, Flight(games=5), MANIFEST, resume=True, may_grow={"games": ""})
     assert (run.path / "config.yaml").read_bytes() == before.replace(b"games: 3", b"games: 5")
     for some, more in ((("a",), ("a", "b")), (("a", "b"), ())):  # none are all there are
         for cells in (some, more):
-            resumed = RunDirectory.create(tmp_path / "cells", Chosen(cells=cells), {}, resume=True, may_grow=["cells"])
+            resumed = RunDirectory.create(tmp_path / "cells", Chosen(cells=cells), {}, True, {"cells": ""})
         with pytest.raises(UserError, match=r"cells = .* and a run that goes on can only have more"):
-            RunDirectory.create(tmp_path / "cells", Chosen(cells=("c",)), {}, resume=True, may_grow=["cells"])
+            RunDirectory.create(tmp_path / "cells", Chosen(cells=("c",)), {}, resume=True, may_grow={"cells": ""})
     assert resumed.config() == {"cells": []}
     with pytest.raises(UserError, match=r'cells = \["a"\]: \[\] were asked for before'):
-        RunDirectory.create(tmp_path / "cells", Chosen(cells=("a",)), {}, resume=True, may_grow=["cells"])
+        RunDirectory.create(tmp_path / "cells", Chosen(cells=("a",)), {}, resume=True, may_grow={"cells": ""})
     (run.path / "config.yaml").write_text("gams: 3\n")  # of a version that had another name for them
     with pytest.raises(UserError, match=r"games \(unset there, 5 here\), gams \(3 there, unset here\)"):
-        RunDirectory.create(run.path, Flight(games=5), MANIFEST, resume=True, may_grow=["games"])
+        RunDirectory.create(run.path, Flight(games=5), MANIFEST, resume=True, may_grow={"games": ""})
     (run.path / "config.yaml").write_text("games: 5\n")  # of a version that had no clock
     assert resume(grown, Flight(games=5)).config() == {"games": 5}
     for damaged in ("x", "[[1]]", ".nan", "null"):
         (run.path / "config.yaml").write_text(f"games: {damaged}\n")
         with pytest.raises(UserError, match=r"has another configuration: .*games \(.* there, 5 here\)"):
-            RunDirectory.create(run.path, Flight(games=5), MANIFEST, resume=True, may_grow=["games"])
+            RunDirectory.create(run.path, Flight(games=5), MANIFEST, resume=True, may_grow={"games": ""})
 
 
 # --- rows ---------------------------------------------------------------------------------------------------

@@ -93,6 +93,10 @@ def test_an_option_makes_a_training_one_over_seeds(tmp_path: Path) -> None:
     more = {"seeds": 4, "games": 6, "clock_speed": 1.0}
     again = configure(RunRequest(None, more, out=tmp_path / "run", resume=True, suite="train"))[1]
     assert (again.seeds, again.training.games) == (4, 6)
+    (tmp_path / "run/parts/seed5").mkdir(parents=True)  # whose training was killed early
+    longer = RunRequest(None, {"games": 6}, out=tmp_path / "run", resume=True)
+    with pytest.raises(UserError, match=r"training.games = 6: 4 .* no checkpoint in .*seed5"), planned(longer):
+        raise AssertionError("there is no plan for it")
     with pytest.raises(UsageError, match="is of seeds, not of evaluate; take `uavaccel train`"):
         configure(RunRequest(None, out=tmp_path / "run", resume=True, suite="evaluate"))
 

@@ -11,7 +11,7 @@ can be flown again.
 from __future__ import annotations
 
 import json
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
 
@@ -62,21 +62,21 @@ class RunDirectory:
         config: Config,
         manifest: Mapping[str, object],
         resume: bool = False,
-        may_grow: Collection[str] = (),
+        may_grow: Mapping[str, str] | None = None,
     ) -> RunDirectory:
         """Start a run at `path`, or with `resume` continue the one that is there, if any.
 
         To continue, a truncated line is dropped, and `manifest` is added to the run's. As long as the result exists, no
-        other process can continue the run. The keys `may_grow` may be more than the run's: a larger number, a list with
-        more in it, or an empty one, which is all there is. Raises UserError if the folder exists and `resume` is False,
-        if the run has another configuration, or if another process is flying it.
+        other process can continue the run. The keys `may_grow` may be more than the run's, unless with a text why
+        not: a larger number, a list with more in it, or an empty one, which is all there is. Raises UserError if the
+        folder exists and `resume` is False, if the run has another configuration, or another process is flying it.
         """
         path = Path(path)
         if path.exists() and not resume:
             raise UserError(f"{path}: exists; take another --out, or --resume to go on with it")
         if (path / "config.yaml").is_file():
             lock = lock_of(path)
-            grown = refuse_other_config(path, config, may_grow)
+            grown = refuse_other_config(path, config, may_grow or {})
             for leftover in path.rglob(f"*{UNFINISHED}"):  # of a crash
                 leftover.unlink()
             for name in ("rows.jsonl", "timing.jsonl"):
@@ -267,7 +267,7 @@ def _write_config(path: Path, config: Config) -> None:
         file.write(to_yaml(config).encode())
 
 
-def refuse_other_config(path: Path, config: Config, may_grow: Collection[str]) -> list[str]:
+def refuse_other_config(path: Path, config: Config, may_grow: Mapping[str, str]) -> list[str]:
     """Return the keys that have grown. Raises UserError for other differences."""
     mapping = load_yaml(path / "config.yaml")
     with suppress(UserError):  # one that is no longer valid is compared as it is, others with later keys' defaults
@@ -289,6 +289,9 @@ def refuse_other_config(path: Path, config: Config, may_grow: Collection[str]) -
     if left := [key for key in other if key not in grown]:
         said = [f"{key} ({there.get(key, 'unset')} there, {here.get(key, 'unset')} here)" for key in left]
         raise UserError(f"{path}: has another configuration: {', '.join(said)}; take another --out")
+    if kept := [key for key in grown if may_grow[key]]:
+        said = [f"{key} = {here[key]}: {there[key]} were asked for before, and {may_grow[key]}" for key in kept]
+        raise UserError(f"{path}: {', '.join(said)}; leave it out, or take another --out to begin anew")
     return grown
 
 

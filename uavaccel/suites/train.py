@@ -184,13 +184,14 @@ class Training(Suite[TrainConfig, SimpleCase]):
         for game in range(config.games):  # lane and environment of each come out of the training
             yield SimpleCase(game_case(game), timing, typical_s)
 
-    def may_grow(self, folder: Path) -> tuple[str, ...]:
+    def may_grow(self, folder: Path) -> Mapping[str, str]:
         """More games can be flown where there is a checkpoint to resume from."""
-        if not (folder / CHECKPOINTS).is_dir():
-            return ()
-        from uavaccel.rl.learner import find_checkpoint
+        if (folder / CHECKPOINTS).is_dir():
+            from uavaccel.rl.learner import find_checkpoint
 
-        return ("games",) if find_checkpoint(folder / CHECKPOINTS) else ()
+            if find_checkpoint(folder / CHECKPOINTS):
+                return {"games": ""}
+        return {"games": f"there is no checkpoint in {folder / CHECKPOINTS}"}
 
     def prepare(self, config: TrainConfig, run: RunDirectory) -> None:
         """Bring an unfinished training back to its last checkpoint."""
