@@ -391,7 +391,6 @@ def other_run(path: Path, text: str, rows: str = "") -> str:
 def test_refusals_are_one_clear_line(straight: RunDirectory, dp1: RunDirectory, tmp_path: Path) -> None:
     (tmp_path / "there-v0").mkdir()
     (tmp_path / "there.mcap").write_text("")
-    (tmp_path / "flights/clock1/trajectory.npz").mkdir(parents=True)
     flown = straight.rows()[0]
     row, (case, second) = json.dumps(flown) + "\n", [row["case"] for row in dp1.rows()][:2]
     (tmp_path / "some").mkdir()
@@ -405,7 +404,6 @@ def test_refusals_are_one_clear_line(straight: RunDirectory, dp1: RunDirectory, 
     logs = tmp_path / "logs"
     for source, to, said in (
         (str(tmp_path / "none"), {"mcap": logs}, "not a run directory"),
-        (str(tmp_path / "flights"), {"csv": logs}, r"its table is .*clock1/trajectory\.csv, and .*/clock1` shows"),
         (empty, {"mcap": logs}, "holds no finished game"),
         (empty, {"minari": dataset}, "holds no finished game"),
         (wall, {"mcap": logs}, "never repeats, and this needs the games"),
@@ -430,7 +428,7 @@ def test_refusals_are_one_clear_line(straight: RunDirectory, dp1: RunDirectory, 
     for other in others:
         with pytest.raises(UsageError, match="--case: goes with --mcap"):
             export(one, **other, case="lane-000000")
-    left = {"there-v0", "there.mcap", "empty", "wall", "training", "some", "flights"}
+    left = {"there-v0", "there.mcap", "empty", "wall", "training", "some"}
     assert {path.name for path in tmp_path.iterdir()} == left
     assert [path.read_text() for path in (tmp_path / "some").iterdir()] == ["mine"]
 
