@@ -161,7 +161,8 @@ def test_rows_read_back_equal_whatever_the_order_of_their_keys(
 
 def test_rows_are_lines_in_their_order_one_for_each_case(run: RunDirectory) -> None:
     for case in ("b", "a", "c"):
-        run.append_row({"error": None, "case": case, "wall_s": 0.1})
+        run.append_row({"error": None, "case": case, "wall_s": 0.1}, on_disk=case != "a")
+        assert [row["case"] for row in run.rows()] == {"b": ["b"], "a": ["b"], "c": ["b", "a", "c"]}[case]
     with pytest.raises(ValueError, match="case a has a row already"):
         run.append_row({"case": "a"})
     with pytest.raises(TypeError, match="not JSON serializable"):
@@ -171,7 +172,7 @@ def test_rows_are_lines_in_their_order_one_for_each_case(run: RunDirectory) -> N
     assert [json.loads(line)["case"] for line in lines] == ["b", "a", "c"]
     assert RunDirectory(run.path).done_cases() == run.done_cases() == {"a", "b", "c"}
     (run.path / "rows.jsonl").write_text("\n".join([*lines, lines[0], ""]))
-    for look in (RunDirectory, lambda path: resume(run)):
+    for look in (lambda path: RunDirectory(path).rows(), lambda path: resume(run)):
         with pytest.raises(UserError, match=r"rows\.jsonl: line 4: b has a row already"):
             look(run.path)
 
@@ -276,7 +277,7 @@ def test_a_damaged_line_is_named(run: RunDirectory, damage: bytes, said: str) ->
     with (run.path / "rows.jsonl").open("ab") as file:
         file.write(damage)
     with pytest.raises(UserError, match=rf"rows\.jsonl: line 2: .*{said}"):
-        RunDirectory(run.path)
+        RunDirectory(run.path).rows()
 
 
 # --- arrays -------------------------------------------------------------------------------------------------
@@ -488,7 +489,7 @@ def test_a_file_outside_of_its_folder_is_refused(name: str, tmp_path: Path) -> N
 def test_a_row_whose_case_is_no_name_of_a_file_is_refused(run: RunDirectory, case: str) -> None:
     append_lines(run.path / "rows.jsonl", [json.dumps({"case": case})])
     with pytest.raises(UserError, match=r"line 1: no game can be called .*: its name is that of a file"):
-        RunDirectory(run.path)
+        RunDirectory(run.path).done_cases()
 
 
 def test_nothing_is_written_through_a_link(run: RunDirectory, tmp_path: Path) -> None:
