@@ -32,7 +32,7 @@ from uavaccel.draw.page import (
     command_name,
     unknown,
 )
-from uavaccel.envs.conditions import CONDITIONS, Condition
+from uavaccel.envs.conditions import SHORT_NAMES, Condition
 from uavaccel.errors import UsageError, UserError, suggestion
 from uavaccel.files import Plain
 from uavaccel.forms import Count, NotNegative, Number, Positive
@@ -387,8 +387,8 @@ INFERENCE = Condition("inference", "inference_s", "s")
 
 def key_of(name: str) -> str:
     """Return the dotted key of a condition, by its short name or that key."""
-    if name in CONDITIONS:
-        return f"task.{CONDITIONS[name].key}"
+    if name in SHORT_NAMES:
+        return f"task.{SHORT_NAMES[name].key}"
     return INFERENCE.key if name == INFERENCE.short else name
 
 
@@ -449,9 +449,9 @@ class Sweep(PolicyGrid):
         """Raise UserError for a condition that the environment of the agent does not have, too."""
         evaluation = self.first(config)[1]
         keys = type(evaluation.task).keys_of({})
-        known = [*(name for name, each in CONDITIONS.items() if each.key.partition(".")[0] in keys), INFERENCE.short]
+        known = [*(name for name, each in SHORT_NAMES.items() if each.key.partition(".")[0] in keys), INFERENCE.short]
         for name in config.sweep:
-            if name not in (*CONDITIONS, INFERENCE.short) and not name.startswith("task."):
+            if name not in (*SHORT_NAMES, INFERENCE.short) and not name.startswith("task."):
                 there = suggested_key({**{short: {} for short in known}, "task": keys}, (), name)
                 raise UsageError(f"--sweep {name}: is unknown; {there}")
             _, task, key = key_of(name).rpartition("task.")
@@ -581,7 +581,7 @@ def usual_of(summary: Summary) -> list[Any]:
 
 def conditions_of(summary: Summary) -> pd.DataFrame:
     """Return the cells of a sweep's summary as a table, with the condition's name and unit and the value as a text."""
-    known = [*CONDITIONS.values(), INFERENCE]
+    known = [*SHORT_NAMES.values(), INFERENCE]
     names = {"": "as trained"} | {each.short: f"{each.short}, {each.unit}" for each in known if each.unit}
     cells = table_of(summary["cells"])
     texts = [value_text(cell["value"]) if cell["condition"] else "" for cell in summary["cells"]]
