@@ -187,7 +187,8 @@ def disturbed_games(games: Games) -> dict[str, int]:
 
 
 def disturbed_words(games: Games) -> list[str]:
-    """Return a note of how many games were disturbed; none where no game was."""
+    """Return a note of how many games that ended without an error were disturbed; none where no game was."""
+    games = finished(games)
     return [f"{count} of {len(games)} games disturbed" for count in disturbed_games(games).values()]
 
 
