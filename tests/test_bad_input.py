@@ -147,6 +147,7 @@ OTHERS = [
 # What the file of an experiment holds.
 FILES = [
     *("suite: [dp1]", "suite: evaluate\ntask: 3", "suite: train\ntask: 3", "suite: train\nmirror: false\ntask: [1, 2]"),
+    "suite: train\nenv_id: uavaccel/Gates-v0\ntask: hover",
     *("games: 3", "", "3", "- dp1", "suite: dp1\nsuite: dp2", "suite: 'dp1", "\x00", "? [a]\n: b"),
     *("suite: !!python/object/apply:os.system ['true']", LAUGHS + "suite: dp1\nclock_speed: *i"),
     *("suite: " + "[" * 100_000, "suite: dp1\ngames: " + "9" * 5000, "suite: dp1\n1: 2", "suite: ':'"),

@@ -84,7 +84,9 @@ def reading(request: RunRequest) -> Iterator[tuple[AnySuite, Any]]:
         if "env_id" in suite.config.model_fields:
             from uavaccel.rl.config import with_env_id  # loads Gymnasium
 
-            mapping = with_env_id(mapping)  # further keys may go into its task
+            env_id, mapping = mapping.get("env_id"), with_env_id(mapping)  # further keys may go into its task
+            if env_id is not None and env_id != mapping["env_id"]:
+                raise UserError(f"{source}: env_id = {env_id!r} beside a task of {mapping['env_id']}: leave one out")
         if experiment is not None and is_task(experiment):
             from uavaccel.suites.train import first_settings
 
