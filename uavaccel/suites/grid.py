@@ -453,7 +453,7 @@ class Sweep(PolicyGrid):
         for name in config.sweep:
             if name not in (*SHORT_NAMES, INFERENCE.short) and not name.startswith("task."):
                 there = suggested_key({**{short: {} for short in known}, "task": keys}, (), name)
-                raise UsageError(f"--sweep {name}: is unknown; {there}")
+                raise UsageError(f"--sweep {name}: is unknown; {there}{'.KEY' * there.endswith(', task')}")
             _, task, key = key_of(name).rpartition("task.")
             if task and key.partition(".")[0] not in keys:
                 there = suggestion(name, known)
