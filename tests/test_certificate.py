@@ -496,6 +496,7 @@ def test_a_worker_runs_what_was_trusted_though_it_was_written_nowhere(monkeypatc
     def as_in_others(jobs: int, at_once: int, calls: Iterable[Any]) -> Iterator[Any]:
         for worker, arguments, _ in calls:
             forget_own_code(monkeypatch)
+            os.chdir("/")  # where a worker of loky may have been started
             yield worker(*arguments)
 
     monkeypatch.setattr("uavaccel.realtime.evaluation.on_this_machine", as_in_others)
