@@ -25,7 +25,7 @@ from uavaccel.cli.main import app
 from uavaccel.envs.hover import HoverTask
 from uavaccel.envs.obstacle_lane import LaneTask
 from uavaccel.envs.task import Task
-from uavaccel.errors import UserError
+from uavaccel.errors import UsageError, UserError
 from uavaccel.own_code import trusting
 from uavaccel.realtime.policy_files import OnnxFile
 from uavaccel.records import RunDirectory
@@ -267,6 +267,9 @@ def test_a_sweep_has_the_conditions_of_its_environment(capsys: pytest.CaptureFix
     request = asked("sweep", HOVER, "task.max_commands=2", timing="virtual")
     with pytest.raises(UserError, match=r"^--sweep wind: uavaccel/Hover-v0 has no task\.difficulty\.wind_m_s; known: "):
         sweep_agent(request, ["wind=0,3"], None)
+    for name, meant in (("reach_m", "task.reach_m"), ("scale", "task.latency.scale"), ("clok", "clock")):
+        with pytest.raises(UsageError, match=rf"^--sweep {name}: is unknown; did you mean '{meant}'\?$"):
+            sweep_agent(request, [f"{name}=1,2"], None)
     sweep_agent(request, ["clock=1,10", "inference=0,0.1"], None)
     cells = RunDirectory("sweep").read_json("summary.json")["cells"]
     swept = [("clock", 1), ("clock", 10), ("inference", 0), ("inference", 0.1)]

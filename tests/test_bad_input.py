@@ -71,7 +71,7 @@ profile = unreal | [native]; reference_timing = never; latency = nowhere.yaml | 
 latency.scale = -1 | 1e308 | .nan | 1e12; latency.request_us.cal = [0,0,0,0,0,0,0,0,0,0,0,0]
 latency.reply_us.call = [0,1] | [0,0,0,0,0,0,0,0,0,0,0,1e300] | slow | [1,0,0,0,0,0,0,0,0,0,0,0]
 latency.reply_us.move = -1 | 1e308 | .nan | true | 1e300; latency.reply_us.mvoe = 2
-latency.issue_us = [0,0,0,0,0,0,0,0,0,0,0,1e300] | [-1,0,0,0,0,0,0,0,0,0,0,0]
+latency.request_us.pause = [1]; latency.issue_us = [0,0,0,0,0,0,0,0,0,0,0,1e300] | [-1,0,0,0,0,0,0,0,0,0,0,0]
 latency.platform.tick_us = -1 | 1e308 | 1e30; latency.platform.stall_us = 1e300
 latency.platform.frames.hz = -1 | 1e300 | 1e-300; latency.platform.goal_timeout_s = 0 | 1e300
 latency.platform.faults.late_us = 1e300; latency.platform.faults.dropped = 2 | -0.1
@@ -123,7 +123,7 @@ task.observation = colour | state; task.history = 1; task.headings_deg = [0]
     "run robustness --set": "latency_scale = [-1] | [1e308] | [] | [0,0]; games = 0 | 1000000000000",
     "run rl --set": """
 seeds = 0 | 1000000000000; games = 0 | 1000000000000000000000000000000; evaluation_clock_speed = 0 | 1e308
-command = [none]
+command = [none]; training.task.latency.scale = 2
 """,
     "run ablation --set": "variants = [] | 3; base = 3 | {gamess: 3}",
     "run paper --set": "parts = {} | {dp9-native: {experiment: dp1}}; claims = nowhere.yaml",
@@ -147,6 +147,7 @@ OTHERS = [
 # What the file of an experiment holds.
 FILES = [
     *("suite: [dp1]", "suite: evaluate\ntask: 3", "suite: train\ntask: 3", "suite: train\nmirror: false\ntask: [1, 2]"),
+    "suite: train\nenv_id: uavaccel/Gates-v0\ntask: hover",
     *("games: 3", "", "3", "- dp1", "suite: dp1\nsuite: dp2", "suite: 'dp1", "\x00", "? [a]\n: b"),
     *("suite: !!python/object/apply:os.system ['true']", LAUGHS + "suite: dp1\nclock_speed: *i"),
     *("suite: " + "[" * 100_000, "suite: dp1\ngames: " + "9" * 5000, "suite: dp1\n1: 2", "suite: ':'"),
@@ -194,7 +195,7 @@ export default --mcap= --csv there; run dp1 --out=; train dp1; train dp2 --dry-r
 evaluate straight --sweep wind=0 --sweep wind=3; evaluate straight --sweep wind=0 --against x; watch --case a --game 1
 watch run --clock 5; watch run --think 1; watch run --seed 1; watch run --film f.mp4 --host ::1
 watch run --film f.mp4 --port 9; watch --case a; watch --game 0; watch run --film f.avi; watch . --film f.mp4
-watch flown --film f.mp4; watch filmed --film f.mp4
+watch flown --film f.mp4; watch filmed --film f.mp4; export flown --csv f
 export .; export . --csv f --case a; export . --csv f; export nowhere --onnx f.onnx; timing advise --thinking 90000
 timing advise --t-move 0.001; timing certify p.onnx CartPole-v1 --latency a --latency b
 timing certify p.onnx CartPole-v1 --latency a --latency 1; timing certify p.onnx CartPole-v1 --factor 2

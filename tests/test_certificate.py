@@ -19,6 +19,7 @@ import numpy as np
 import pytest
 import torch as th
 from gymnasium import spaces
+from gymnasium.envs.registration import EnvSpec
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
@@ -284,10 +285,19 @@ def test_processes_change_no_byte_interrupted_or_killed_too() -> None:
     assert contents("lost") == contents("whole")
 
 
-def test_an_evaluation_ends_after_three_episodes_that_fail_from_the_start() -> None:
+def test_an_evaluation_ends_after_three_episodes_that_fail_from_the_start(monkeypatch: pytest.MonkeyPatch) -> None:
+    """So does one of an environment that never ends, unless its own time limit is longer."""
     with pytest.raises(UserError, match=r"^the return of the episode is nan: 3 episodes in a row have failed; go on"):
         certify(partial(Count, math.nan), same, [0.01], episodes=9, out="out")
     assert len(Path("out/rows.jsonl").read_text().splitlines()) == 3
+    for longest, limit, ends in ((29, None, False), (30, None, True), (29, 30, True)):
+        monkeypatch.setattr("uavaccel.realtime.evaluation.LONGEST", longest)
+        monkeypatch.setattr(Count, "spec", EnvSpec("Count-v0", max_episode_steps=limit))
+        if ends:
+            assert certify(Count, same, [0.0], episodes=1).document["holds"]
+        else:
+            with pytest.raises(UserError, match=r"^the episode has not ended after 29 steps: give the .* 3 episodes"):
+                certify(Count, same, [0.01], episodes=9)
 
 
 def test_another_evaluation_does_not_go_on_in_its_folder() -> None:
@@ -486,6 +496,7 @@ def test_a_worker_runs_what_was_trusted_though_it_was_written_nowhere(monkeypatc
     def as_in_others(jobs: int, at_once: int, calls: Iterable[Any]) -> Iterator[Any]:
         for worker, arguments, _ in calls:
             forget_own_code(monkeypatch)
+            os.chdir("/")  # where a worker of loky may have been started
             yield worker(*arguments)
 
     monkeypatch.setattr("uavaccel.realtime.evaluation.on_this_machine", as_in_others)

@@ -547,6 +547,10 @@ def test_a_run_is_reported_even_where_its_films_fail(tmp_path: Path, monkeypatch
     assert (tmp_path / "run" / "report.html").is_file()
     asked: list[Any] = []
     monkeypatch.setattr(experiments, "run_experiment", lambda *how: asked.append(how[2]))
-    for films in (True, False):
+    for films in (True, False, None):
         experiments.evaluate_agent(request, None, films)
-    assert asked == [breaks, None]
+    for begun in ([], ["--no-films"]):  # a run that is resumed keeps to what it was begun with
+        (tmp_path / "run/manifest.json").write_text(json.dumps({"command_line": ["uavaccel", "evaluate", *begun]}))
+        for films in (None, True):
+            experiments.evaluate_agent(replace(request, resume=True), None, films)
+    assert asked == [breaks, None, breaks, breaks, breaks, None, breaks]

@@ -7,15 +7,18 @@ from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
+from unittest.mock import Mock, call
 
 import numpy as np
 import pytest
 
 from tests.made_runs import line_arrays, line_row
+from uavaccel import records
 from uavaccel.cli.experiments import report_runs
 from uavaccel.cli.flights import export
 from uavaccel.config import to_yaml, validate
 from uavaccel.errors import UserError
+from uavaccel.files import read_lines
 from uavaccel.forms import ArrayForm, RowForm
 from uavaccel.records import RunDirectory
 from uavaccel.suites.dp1 import Dp1
@@ -173,12 +176,18 @@ READERS: dict[str, Callable[[Path], object]] = {
 
 
 @pytest.mark.parametrize("reader", READERS)
-def test_every_reader_of_a_run_checks_its_rows(tmp_path: Path, reader: str) -> None:
+def test_every_reader_of_a_run_checks_its_rows(tmp_path: Path, reader: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """They may be hundreds of thousands, and are read once."""
     row, arrays = whole_game()
     write(tmp_path / "run", {**row, "duration_s": NAN}, arrays)
+    look = Mock(side_effect=read_lines)
+    monkeypatch.setattr(records, "read_lines", look)
     with pytest.raises(UserError, match=r"line 1: .*duration_s = nan: should be a finite number"):
         READERS[reader](tmp_path / "run")
-    assert [path.name for path in tmp_path.iterdir()] == ["run"]
+    assert ([path.name for path in tmp_path.iterdir()], look.call_args_list) == (
+        ["run"],
+        [call(tmp_path / "run/rows.jsonl")],
+    )
 
 
 @pytest.mark.parametrize("reader", READERS)

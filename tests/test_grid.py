@@ -13,7 +13,7 @@ import pytest
 from tests.running import configured, fly_into, run_into
 from uavaccel.cli.experiments import sweep_agent
 from uavaccel.config import validate
-from uavaccel.envs.conditions import CONDITIONS
+from uavaccel.envs.conditions import SHORT_NAMES
 from uavaccel.errors import UsageError, UserError
 from uavaccel.records import RunDirectory
 from uavaccel.resources import experiment
@@ -129,7 +129,7 @@ def test_a_condition_is_an_evaluation_with_one_key_changed(tmp_path: Path) -> No
 
 def test_every_shipped_condition_can_be_flown() -> None:
     config = configured("sweep", "agent=straight")
-    assert set(CONDITIONS) - set(config.sweep) == {"profile"}
+    assert set(SHORT_NAMES) - set(config.sweep) == {"profile"}
     trained, *flown = Sweep().cases(config)
     same: Any = trained.labels["same"]
     assert (trained.id, len(same)) == ("as-trained", 19)
@@ -147,7 +147,7 @@ def test_every_shipped_condition_can_be_flown() -> None:
 
 def test_the_page_has_the_table_of_conditions() -> None:
     page = (Path(__file__).parents[1] / "docs" / "training.md").read_text(encoding="utf-8")
-    assert not [name for name in CONDITIONS if f"`{name}`" not in page]
+    assert not [name for name in SHORT_NAMES if f"`{name}`" not in page]
 
 
 def test_a_sweep_is_around_the_options_of_evaluate(tmp_path: Path) -> None:

@@ -137,6 +137,13 @@ print(*sys.modules)
     assert not {"torch._dynamo", "sympy", "numba", "scipy"} & set(done.stdout.split())
 
 
+def test_the_process_of_a_measured_environment_loads_nothing_that_learns() -> None:
+    program = "import sys; from uavaccel.suites.realtime_agents import make; print(*sys.modules)"
+    command = [sys.executable, "-c", program]
+    done = subprocess.run(command, cwd=PACKAGE.parent, capture_output=True, text=True, check=True)
+    assert HEAVY & set(done.stdout.split()) == {"gymnasium", "mujoco"}
+
+
 def test_modules_of_the_world_do_not_import_in_circles() -> None:
     """Imports for types alone count too."""
     files = {name_of(path).removesuffix(".py"): path for path in MODULES if room_of(path) == "sim"}

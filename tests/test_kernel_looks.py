@@ -30,6 +30,7 @@ from uavaccel.kernels.quads import (
     Column,
     add_interval,
     fill_column,
+    overtaken,
     quad_lumas,
     quick_count,
     settle,
@@ -268,6 +269,20 @@ def test_columns_and_quads_are_the_picture(appearance: Appearance) -> None:
         draw(appearance, faces, room(), shown, picture)
     apart = np.abs(drawn.astype(int) - render_lanes("gray", *arguments))
     assert np.mean(apart > 0) <= 5e-5
+
+
+def test_a_face_shows_from_the_first_row_in_which_it_is_nearer() -> None:
+    """Also where rounding puts that beyond the last one, in which it is nearer by a bit."""
+    random, first_row = np.random.default_rng(0), getattr(overtaken, "py_func", overtaken)
+    for _ in range(1000):
+        begin, last = sorted(random.choice(144, 2, replace=False))
+        between = random.uniform(begin, last)
+        crossing, slope = random.choice([begin, between, last]), np.float32(random.normal())
+        start, rows = np.nextafter(-slope * np.float32(crossing), np.float32(np.inf)), np.arange(begin, last + 1)
+        nearer = rows[start + slope * rows.astype(np.float32) > 0]
+        row = first_row(start, slope, np.int32(begin), np.int32(last + 1), np.int32(999))
+        wanted = 999 if {begin, last}.isdisjoint(nearer.tolist()) else nearer[0]
+        assert row == wanted or (crossing == last and row in nearer), (begin, last, crossing, slope)
 
 
 def test_counts_without_a_double_division_are_v2es() -> None:

@@ -536,6 +536,17 @@ def test_ends_of_a_ratio_solve_movers_equation_on_its_edges_too(
     assert ratio_estimate(Estimate(*p), Estimate(*q)) == pytest.approx((p[0] / q[0], low, high))
 
 
+def test_an_end_whose_equation_has_no_root_between_is_the_unpaired_one() -> None:
+    """Where twice the second's value is within its interval, or pairing takes more than the whole product."""
+    for p, q, correlation, same, other in (
+        ((0.5, 0.3, 0.7), (0.1, 0.02, 0.3), 0.5, "low", "high"),
+        ((0.1, 0.01, 0.9), (0.1, 0.001, 0.15), 1.0, "high", "low"),
+    ):
+        plain, paired = (ratio_estimate(Estimate(*p), Estimate(*q), each) for each in (0.0, correlation))
+        assert getattr(plain, same) == getattr(paired, same)
+        assert getattr(plain, other) != getattr(paired, other)
+
+
 def test_none_won_of_many_has_an_upper_end() -> None:
     none, all_but = (Estimate(each.ratio, *each.interval) for each in (Proportion(0, 300), Proportion(290, 300)))
     ratio = ratio_estimate(none, all_but)

@@ -23,8 +23,10 @@ from uavaccel.own_code import trusting
 from uavaccel.records import RunDirectory
 from uavaccel.resources import experiment
 from uavaccel.suites import realtime_agents as agents
+from uavaccel.suites import realtime_learner as learner
 from uavaccel.suites.realtime import AgentBlock, EnvironmentBlock, Evaluation, Realtime
-from uavaccel.suites.realtime_agents import LookAhead, measured, policy_of, timed, train, training
+from uavaccel.suites.realtime_agents import LookAhead, measured, policy_of, timed
+from uavaccel.suites.realtime_learner import train, training
 from uavaccel.suites.realtime_report import panels_figure
 
 pytestmark = pytest.mark.usefixtures("whole_messages")
@@ -46,7 +48,7 @@ TINY = (
 def short_rollouts() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         for key, value in {"n_steps": 64, "batch_size": 128, "n_epochs": 3}.items():
-            patch.setitem(agents.LEARNER, key, value)
+            patch.setitem(learner.LEARNER, key, value)
         yield
 
 
@@ -200,12 +202,12 @@ def test_who_looks_ahead_decides_upon_what_will_be(clock_speed: float) -> None:
 
 def test_a_trainings_return_is_of_its_last_hundred_episodes() -> None:
     """A lane's episodes have two steps, and each brings 1 more than the one before."""
-    returns, rewards = agents._Returns(), np.zeros(agents.LANES)
+    returns, rewards = learner._Returns(), np.zeros(learner.LANES)
     returns.model = SimpleNamespace(get_env=lambda: SimpleNamespace(get_original_reward=lambda: rewards))  # type: ignore
     assert returns.last() is None
     for step in range(300):
         rewards[:] = step // 2 / 2
-        returns.locals = {"dones": np.arange(agents.LANES) == (0 if step % 2 else -1)}
+        returns.locals = {"dones": np.arange(learner.LANES) == (0 if step % 2 else -1)}
         returns._on_step()
     assert returns.last() == pytest.approx(np.mean(np.arange(50, 150)))
 

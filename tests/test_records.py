@@ -118,29 +118,29 @@ def test_resume_with_another_configuration_names_what_differs(run: RunDirectory,
         resume(run, Clock())
     shrunk = "games = 2: 3 were asked for before, and a run that goes on can only have more; leave it out"
     other_key = r"games \(3 there, 5 here\)"
-    for games, may_grow, said in ((2, ["games"], shrunk), (5, ["clock.speed"], other_key)):
+    for games, may_grow, said in ((2, {"games": ""}, shrunk), (5, {"clock.speed": ""}, other_key)):
         with pytest.raises(UserError, match=said):
             RunDirectory.create(run.path, Flight(games=games), MANIFEST, resume=True, may_grow=may_grow)
     assert (run.path / "config.yaml").read_bytes() == before
-    grown = RunDirectory.create(run.path, Flight(games=5), MANIFEST, resume=True, may_grow=["games"])
+    grown = RunDirectory.create(run.path, Flight(games=5), MANIFEST, resume=True, may_grow={"games": ""})
     assert (run.path / "config.yaml").read_bytes() == before.replace(b"games: 3", b"games: 5")
     for some, more in ((("a",), ("a", "b")), (("a", "b"), ())):  # none are all there are
         for cells in (some, more):
-            resumed = RunDirectory.create(tmp_path / "cells", Chosen(cells=cells), {}, resume=True, may_grow=["cells"])
+            resumed = RunDirectory.create(tmp_path / "cells", Chosen(cells=cells), {}, True, {"cells": ""})
         with pytest.raises(UserError, match=r"cells = .* and a run that goes on can only have more"):
-            RunDirectory.create(tmp_path / "cells", Chosen(cells=("c",)), {}, resume=True, may_grow=["cells"])
+            RunDirectory.create(tmp_path / "cells", Chosen(cells=("c",)), {}, resume=True, may_grow={"cells": ""})
     assert resumed.config() == {"cells": []}
     with pytest.raises(UserError, match=r'cells = \["a"\]: \[\] were asked for before'):
-        RunDirectory.create(tmp_path / "cells", Chosen(cells=("a",)), {}, resume=True, may_grow=["cells"])
+        RunDirectory.create(tmp_path / "cells", Chosen(cells=("a",)), {}, resume=True, may_grow={"cells": ""})
     (run.path / "config.yaml").write_text("gams: 3\n")  # of a version that had another name for them
     with pytest.raises(UserError, match=r"games \(unset there, 5 here\), gams \(3 there, unset here\)"):
-        RunDirectory.create(run.path, Flight(games=5), MANIFEST, resume=True, may_grow=["games"])
+        RunDirectory.create(run.path, Flight(games=5), MANIFEST, resume=True, may_grow={"games": ""})
     (run.path / "config.yaml").write_text("games: 5\n")  # of a version that had no clock
     assert resume(grown, Flight(games=5)).config() == {"games": 5}
     for damaged in ("x", "[[1]]", ".nan", "null"):
         (run.path / "config.yaml").write_text(f"games: {damaged}\n")
         with pytest.raises(UserError, match=r"has another configuration: .*games \(.* there, 5 here\)"):
-            RunDirectory.create(run.path, Flight(games=5), MANIFEST, resume=True, may_grow=["games"])
+            RunDirectory.create(run.path, Flight(games=5), MANIFEST, resume=True, may_grow={"games": ""})
 
 
 # --- rows ---------------------------------------------------------------------------------------------------
@@ -161,7 +161,8 @@ def test_rows_read_back_equal_whatever_the_order_of_their_keys(
 
 def test_rows_are_lines_in_their_order_one_for_each_case(run: RunDirectory) -> None:
     for case in ("b", "a", "c"):
-        run.append_row({"error": None, "case": case, "wall_s": 0.1})
+        run.append_row({"error": None, "case": case, "wall_s": 0.1}, on_disk=case != "a")
+        assert [row["case"] for row in run.rows()] == {"b": ["b"], "a": ["b"], "c": ["b", "a", "c"]}[case]
     with pytest.raises(ValueError, match="case a has a row already"):
         run.append_row({"case": "a"})
     with pytest.raises(TypeError, match="not JSON serializable"):
@@ -171,7 +172,7 @@ def test_rows_are_lines_in_their_order_one_for_each_case(run: RunDirectory) -> N
     assert [json.loads(line)["case"] for line in lines] == ["b", "a", "c"]
     assert RunDirectory(run.path).done_cases() == run.done_cases() == {"a", "b", "c"}
     (run.path / "rows.jsonl").write_text("\n".join([*lines, lines[0], ""]))
-    for look in (RunDirectory, lambda path: resume(run)):
+    for look in (lambda path: RunDirectory(path).rows(), lambda path: resume(run)):
         with pytest.raises(UserError, match=r"rows\.jsonl: line 4: b has a row already"):
             look(run.path)
 
@@ -276,7 +277,7 @@ def test_a_damaged_line_is_named(run: RunDirectory, damage: bytes, said: str) ->
     with (run.path / "rows.jsonl").open("ab") as file:
         file.write(damage)
     with pytest.raises(UserError, match=rf"rows\.jsonl: line 2: .*{said}"):
-        RunDirectory(run.path)
+        RunDirectory(run.path).rows()
 
 
 # --- arrays -------------------------------------------------------------------------------------------------
@@ -488,7 +489,7 @@ def test_a_file_outside_of_its_folder_is_refused(name: str, tmp_path: Path) -> N
 def test_a_row_whose_case_is_no_name_of_a_file_is_refused(run: RunDirectory, case: str) -> None:
     append_lines(run.path / "rows.jsonl", [json.dumps({"case": case})])
     with pytest.raises(UserError, match=r"line 1: no game can be called .*: its name is that of a file"):
-        RunDirectory(run.path)
+        RunDirectory(run.path).done_cases()
 
 
 def test_nothing_is_written_through_a_link(run: RunDirectory, tmp_path: Path) -> None:

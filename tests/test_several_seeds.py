@@ -98,6 +98,19 @@ def test_an_option_makes_a_training_one_over_seeds(tmp_path: Path, monkeypatch: 
     for request in asked:
         again = configure(request)[1]
         assert (again.seeds, again.training.games) == (4, 6)
+    for key in ("task.max_commands", "training.task.max_commands"):
+        with planned(RunRequest(None, {}, [f"{key}=300"], out=tmp_path / "run", resume=True, suite="train")) as plan:
+            assert plan.config.model_dump() == validate(SeedsConfig, RunDirectory(plan.out).config(), "").model_dump()
+        other = RunRequest(None, {}, [f"{key}=9"], out=tmp_path / "run", resume=True, suite="train")
+        with (
+            pytest.raises(UserError, match=r"other configuration: training.task.max_commands \(300 th"),
+            planned(other),
+        ):
+            raise AssertionError("there is no plan for it")
+    (tmp_path / "run/parts/seed5").mkdir(parents=True)  # whose training was killed early
+    longer = RunRequest(None, {"games": 6}, out=tmp_path / "run", resume=True)
+    with pytest.raises(UserError, match=r"training.games = 6: 4 .* no checkpoint in .*seed5"), planned(longer):
+        raise AssertionError("there is no plan for it")
     with pytest.raises(UsageError, match="is of seeds, not of evaluate; take `uavaccel train`"):
         configure(RunRequest(None, out=tmp_path / "run", resume=True, suite="evaluate"))
 

@@ -40,8 +40,10 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return made
 
 
-def misfits(value: Any, schema: dict[str, Any], whole: dict[str, Any], key: str = "") -> list[str]:
-    """What JSON schema's words `type`, `enum`, `const`, `anyOf`, `properties` and `items` say against a value."""
+def misfits(value: Any, schema: Any, whole: dict[str, Any], key: str = "") -> list[str]:
+    """What the words of JSON schema that the suites' schemas have say against a value."""
+    if isinstance(schema, bool):
+        return [key] * (not schema)
     if "$ref" in schema:
         schema = whole["$defs"][schema["$ref"].rpartition("/")[2]]
     if "anyOf" in schema:
@@ -55,12 +57,17 @@ def misfits(value: Any, schema: dict[str, Any], whole: dict[str, Any], key: str 
     }  # fmt: skip
     if "type" in schema and not isinstance(value, kinds[schema["type"]]):
         return [key]
-    wrong: list[str] = []
+    return misfits_inside(value, schema, whole, key)
+
+
+def misfits_inside(value: Any, schema: dict[str, Any], whole: dict[str, Any], key: str) -> list[str]:
+    wrong = [f"{key}.{name}" for name in schema.get("required", ()) if name not in value]
+    for each in schema.get("allOf", ()):
+        wrong += misfits(value, each["then"], whole, key) if not misfits(value, each["if"], whole, key) else []
     if isinstance(value, dict) and "properties" in schema:
         for name, inner in value.items():
-            known = schema["properties"].get(name)
-            below = f"{key}.{name}"
-            wrong += [below] if known is None else misfits(inner, known, whole, below)
+            known = schema["properties"].get(name, schema.get("additionalProperties", True))
+            wrong += misfits(inner, known, whole, f"{key}.{name}")
     if isinstance(value, list) and "items" in schema:
         for inner in value:
             wrong += misfits(inner, schema["items"], whole, key)
@@ -83,6 +90,18 @@ def test_every_suite_has_a_schema_that_tells_wrong_keys() -> None:
     assert all(misfits_of({"suite": "train", "task": task}) == [] for task in named)
     wrong = {"suite": "train", "game": 3, "task": {"command": "fly", "lane": "lane.yaml", "speed_m_s": "1"}}
     assert misfits_of(wrong) == [".game", ".task.command", ".task.speed_m_s"]
+    for learner, wanted in (
+        ({"algorithm": "double_dqn", "options": {"clip": 0.1, "n_steps": 1}}, [".options.clip"]),
+        (
+            {"algorithm": "ppo", "options": {"clip": 0.1, "n_steps": 1, "epochs": "3"}},
+            [".options.n_steps", ".options.epochs"],
+        ),
+        ({"options": {"clip": 0.1}}, []),  # of the one that learns the task
+        ({"options": {"clips": 0.1}}, [".options.clips"]),
+        ({"algorithm": "sb3_ppo", "options": {"vf_coef": 0.4}}, []),
+        ({"algorithm": "sb3_sac"}, [".algorithm"]),
+    ):
+        assert misfits_of({"suite": "train", **learner}) == wanted
     with pytest.raises(UserError, match="did you mean 'train'"):
         schema_text("trai")
 

@@ -190,6 +190,12 @@ def test_a_phase_that_raises_is_over() -> None:
     clock.charge(10**9)
     stopwatch.switch(None)
     assert stopwatch.spent_s()["learning"] == 1.0
+    stopwatch.switch("simulation")
+    with stopwatch.aside("rendering"):
+        clock.charge(2 * 10**9)
+    clock.charge(4 * 10**9)  # again of the simulation
+    stopwatch.switch(None)
+    assert [stopwatch.spent_s()[phase] for phase in ("simulation", "rendering", "learning")] == [4.0, 2.0, 1.0]
 
 
 # --- mistakes ------------------------------------------------------------------------------------------------------

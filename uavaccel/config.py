@@ -17,7 +17,7 @@ import inspect
 import json
 import re
 import reprlib
-from collections.abc import Hashable, Iterable, Mapping, Sequence
+from collections.abc import Collection, Hashable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from copy import deepcopy
 from difflib import get_close_matches
@@ -198,10 +198,11 @@ def validate(
         return cls.model_validate_json(json.dumps(mapping, default=_as_yaml), strict=True)
     except ValidationError as error:
         first = _leading(error)
-        giver = _giver(_dotted(mapping, first), first["msg"], given or {}, source)
+        key = _dotted(mapping, first)
+        giver = _giver(dotted_keys(first["input"], key) if key else (), first["msg"], given or {}, source)
         raise UserError(f"{giver}: {_explain(cls, mapping, error)}") from error
     except UserError as error:  # raised by a validator
-        giver, said = _giver("", str(error), given or {}, source), str(error)
+        giver, said = _giver((), str(error), given or {}, source), str(error)
         raise type(error)(said if said.startswith(giver) else f"{giver}: {said}") from error
     except (TypeError, ValueError) as error:
         raise UserError(f"{source}: not made of text, numbers, lists and mappings: {error}") from error
@@ -214,11 +215,14 @@ def _as_yaml(value: object) -> object:
     return made
 
 
-def _giver(key: str, said: str, given: Mapping[str, str], source: str) -> str:
-    """Return the option that gave a key, or one of those that an error names; else `source`."""
+def _giver(keys: Collection[str], said: str, given: Mapping[str, str], source: str) -> str:
+    """Return the option that gave all `keys` of a wrong value, or one of those that an error names; else `source`."""
+    givers = [next((given[own] for own in given if f"{key}.".startswith(f"{own}.")), "") for key in keys]
+    if givers and all(givers):
+        return givers[0]
     for own, option in given.items():
         name = own.rstrip(".0123456789").rpartition(".")[2]  # of a list's element, the list's
-        if f"{key}.".startswith(f"{own}.") or re.search(rf"\b{re.escape(name)}\b", f"{key} {said}"):
+        if re.search(rf"\b{re.escape(name)}\b", f"{' '.join(keys)} {said}"):
             return option
     return source
 

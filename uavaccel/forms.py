@@ -52,6 +52,7 @@ class Start(TypedDict, total=False):
     versions: dict[str, str | None]
     git: Source | None
     policy_sha256: str | None
+    command_line: list[str]
     own_code: str
     """The folder of the own code that it was made with: a suite, an environment."""
 

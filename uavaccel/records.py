@@ -11,7 +11,7 @@ can be flown again.
 from __future__ import annotations
 
 import json
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 
@@ -40,9 +40,9 @@ from uavaccel.forms import HostTimes, Manifest, RowForm, check, check_all
 
 
 class RunDirectory:
-    """The run directory at `path`. Raises UserError if there is none, or if a row has no case or another row's.
+    """The run directory at `path`. Raises UserError if there is none.
 
-    With a `form`, that of its suite, rows and arrays are checked against it whenever they are read.
+    Rows are read when they are asked for; with a `form`, that of its suite, they and arrays are checked against it.
     """
 
     form: RowForm | None = None
@@ -53,7 +53,7 @@ class RunDirectory:
         self._waiting: dict[str, list[str]] = {"rows.jsonl": [], "timing.jsonl": []}
         if not (self.path / "config.yaml").is_file():
             raise UserError(f"{self.path}: not a run directory: no config.yaml in it")
-        self._done = self._cases_of_rows()
+        self._done: set[str] | None = None  # until rows are read
 
     @classmethod
     def create(
@@ -62,21 +62,21 @@ class RunDirectory:
         config: Config,
         manifest: Mapping[str, object],
         resume: bool = False,
-        may_grow: Collection[str] = (),
+        may_grow: Mapping[str, str] | None = None,
     ) -> RunDirectory:
         """Start a run at `path`, or with `resume` continue the one that is there, if any.
 
         To continue, a truncated line is dropped, and `manifest` is added to the run's. As long as the result exists, no
-        other process can continue the run. The keys `may_grow` may be more than the run's: a larger number, a list with
-        more in it, or an empty one, which is all there is. Raises UserError if the folder exists and `resume` is False,
-        if the run has another configuration, or if another process is flying it.
+        other process can continue the run. The keys `may_grow` may be more than the run's, unless with a text why
+        not: a larger number, a list with more in it, or an empty one, which is all there is. Raises UserError if the
+        folder exists and `resume` is False, if the run has another configuration, or another process is flying it.
         """
         path = Path(path)
         if path.exists() and not resume:
             raise UserError(f"{path}: exists; take another --out, or --resume to go on with it")
         if (path / "config.yaml").is_file():
             lock = lock_of(path)
-            grown = refuse_other_config(path, config, may_grow)
+            grown = refuse_other_config(path, config, may_grow or {})
             for leftover in path.rglob(f"*{UNFINISHED}"):  # of a crash
                 leftover.unlink()
             for name in ("rows.jsonl", "timing.jsonl"):
@@ -87,6 +87,7 @@ class RunDirectory:
             lock = _start(path, config)
         run = cls(path)
         run._lock = lock
+        run.done_cases()  # rows that are wrong are refused before anything is written
         if (path / "manifest.json").exists():
             first = run.manifest()
             manifest = {**first, "resumed": [*first.get("resumed", []), manifest]}
@@ -100,10 +101,11 @@ class RunDirectory:
         `write_waiting`. Keys are sorted, floats read back equal, and one that is not finite is null. Raises ValueError
         if the case has a row already, UserError if the run's folder no longer exists.
         """
-        if row["case"] in self._done:
+        done = self._cases()
+        if row["case"] in done:
             raise ValueError(f"case {row['case']} has a row already")
         self._append("rows.jsonl", row, on_disk)
-        self._done.add(str(row["case"]))
+        done.add(str(row["case"]))
 
     def append_timing(self, entry: Mapping[str, object], on_disk: bool = True) -> None:
         """Append an entry to timing.jsonl: host times, loads, retries."""
@@ -129,16 +131,26 @@ class RunDirectory:
     def rows(self) -> list[Plain]:
         """Return every whole row, in the order in which they were appended.
 
-        Raises UserError, naming line, game and key, for one that has not the form of its suite's rows.
+        Raises UserError, naming line, game and key, for one that has no case, or another row's, or not the form of its
+        suite's rows.
         """
-        rows = read_lines(self.path / "rows.jsonl")
+        file = self.path / "rows.jsonl"
+        rows = read_lines(file)
+        found = _cases_of(rows, file)
+        self._done = found if self._done is None else self._done  # which also knows rows that wait
         if self.form is not None:
-            self.form.check_rows(rows, self.path / "rows.jsonl")
+            self.form.check_rows(rows, file)
         return rows
 
     def done_cases(self) -> set[str]:
         """Return the ids of the cases that have a row."""
-        return set(self._done)
+        return set(self._cases())
+
+    def _cases(self) -> set[str]:
+        if self._done is None:
+            self.rows()
+        assert self._done is not None
+        return self._done
 
     def timings(self) -> list[dict[str, Plain]]:
         """Return every whole entry of timing.jsonl. Raises UserError for times that are no numbers."""
@@ -150,7 +162,7 @@ class RunDirectory:
         """Drop all rows but the first `count`, and their entries in timing.jsonl."""
         for name, entries in (("rows.jsonl", self.rows()), ("timing.jsonl", self.timings())):
             self.write_text(name, "".join(to_json(entry) + "\n" for entry in entries[:count]))
-        self._done = self._cases_of_rows()
+        self._done = None
 
     def save_arrays(self, case: str, arrays: Mapping[str, np.ndarray]) -> dict[str, str]:
         """Write a case's arrays, replacing those of an attempt without a row.
@@ -231,22 +243,23 @@ class RunDirectory:
         check(Manifest, manifest, str(self.path / "manifest.json"))
         return manifest
 
-    def _cases_of_rows(self) -> set[str]:
-        done: set[str] = set()
-        for number, row in enumerate(self.rows(), start=1):
-            case, where = row.get("case"), f"{self.path / 'rows.jsonl'}: line {number}"
-            if not isinstance(case, str):
-                raise UserError(f"{where}: has no name of a game under 'case'; delete the line and --resume the run")
-            if not is_file_name(case):
-                raise UserError(f"{where}: no game can be called {case!r}: its name is that of a file")
-            if case in done:
-                raise UserError(f"{where}: {case} has a row already; delete the line that does not belong here")
-            done.add(case)
-        return done
-
     def _refuse_gone(self) -> None:
         if not (self.path / "config.yaml").is_file():
             raise UserError(f"{self.path}: the run's folder, or its config.yaml, was deleted while it was flown")
+
+
+def _cases_of(rows: Sequence[Plain], file: Path) -> set[str]:
+    done: set[str] = set()
+    for number, row in enumerate(rows, start=1):
+        case, where = row.get("case"), f"{file}: line {number}"
+        if not isinstance(case, str):
+            raise UserError(f"{where}: has no name of a game under 'case'; delete the line and --resume the run")
+        if not is_file_name(case):
+            raise UserError(f"{where}: no game can be called {case!r}: its name is that of a file")
+        if case in done:
+            raise UserError(f"{where}: {case} has a row already; delete the line that does not belong here")
+        done.add(case)
+    return done
 
 
 def _start(path: Path, config: Config) -> FolderLock:
@@ -267,7 +280,7 @@ def _write_config(path: Path, config: Config) -> None:
         file.write(to_yaml(config).encode())
 
 
-def refuse_other_config(path: Path, config: Config, may_grow: Collection[str]) -> list[str]:
+def refuse_other_config(path: Path, config: Config, may_grow: Mapping[str, str]) -> list[str]:
     """Return the keys that have grown. Raises UserError for other differences."""
     mapping = load_yaml(path / "config.yaml")
     with suppress(UserError):  # one that is no longer valid is compared as it is, others with later keys' defaults
@@ -290,6 +303,9 @@ def refuse_other_config(path: Path, config: Config, may_grow: Collection[str]) -
     if left := [key for key in other if key not in grown]:
         said = [f"{key} ({there.get(key, 'unset')} there, {here.get(key, 'unset')} here)" for key in left]
         raise UserError(f"{path}: has another configuration: {', '.join(said)}; take another --out")
+    if kept := [key for key in grown if may_grow[key]]:
+        said = [f"{key} = {here[key]}: {there[key]} were asked for before, and {may_grow[key]}" for key in kept]
+        raise UserError(f"{path}: {', '.join(said)}; leave it out, or take another --out to begin anew")
     return grown
 
 

@@ -89,7 +89,9 @@ def evaluate(
         ),
     ] = None,
     against: Annotated[Path | None, option("RUN_DIR", "Another evaluation on the same lanes, to compare with.")] = None,
-    films: Annotated[bool, option(None, "Film the best and the worst episode.")] = True,
+    films: Annotated[
+        bool | None, option(None, "Film the best and the worst episode; default: films, with --resume as it began.")
+    ] = None,
     sweep: Annotated[
         list[str] | None,
         option("NAME=V,V,...", "Change one condition at a time, as in wind=0,3,6; repeat for several."),
@@ -207,8 +209,12 @@ def report_run(run: RunDirectory) -> None:
     console.print(f"report: {run.path / 'report.html'}")
 
 
-def evaluate_agent(request: RunRequest, against: Path | None, films: bool) -> None:
-    """Evaluate an agent, film, and compare it with another evaluation of the same lanes. Raises UserError."""
+def evaluate_agent(request: RunRequest, against: Path | None, films: bool | None) -> None:
+    """Evaluate an agent, film, and compare it with another evaluation of the same lanes. Raises UserError.
+
+    Without a word on films there are some, unless a run that is resumed was begun with --no-films.
+    """
+    from uavaccel.records import RunDirectory
     from uavaccel.suites.evaluate import against as compared
     from uavaccel.suites.evaluate import outcomes_of
     from uavaccel.suites.registry import open_run
@@ -219,7 +225,9 @@ def evaluate_agent(request: RunRequest, against: Path | None, films: bool) -> No
         if other is not None:
             outcomes_of(other, plan.config.model_dump(mode="json"), {case.id for case in plan.cases})
 
-    run = run_experiment(request, check, film_extremes if films else None)
+    if films is None and request.resume and request.out is not None and (request.out / "manifest.json").is_file():
+        films = "--no-films" not in RunDirectory(request.out).manifest().get("command_line", ())
+    run = run_experiment(request, check, None if films is False else film_extremes)
     if run is not None and other is not None:
         console.print(compared(run, other))
 

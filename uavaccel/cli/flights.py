@@ -8,14 +8,17 @@ from contextlib import nullcontext
 from difflib import get_close_matches
 from itertools import chain
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from uavaccel.cli.options import Profile, Scene, Timing, Trust, Watch, given_options, option
 from uavaccel.cli.terminal import LINES, console, working
-from uavaccel.errors import UsageError
+from uavaccel.errors import UsageError, UserError
 from uavaccel.fly.options import THINK_S
+
+if TYPE_CHECKING:
+    from uavaccel.records import RunDirectory
 
 THINKS = (
     "Wall seconds that the script thinks before each call; "
@@ -187,7 +190,6 @@ def export(
     """Write a policy as ONNX; a run as tables, MCAP or a Minari dataset."""
     from uavaccel.own_code import trusting
     from uavaccel.resources import require
-    from uavaccel.suites.registry import open_run
 
     if onnx is csv is parquet is mcap is minari is None:
         raise UsageError(
@@ -212,17 +214,30 @@ def export(
             from uavaccel.suites.report import write_tables
 
             tables = ((parquet, "parquet"), (csv, "csv"))  # a missing pyarrow first
-            written += [write_tables(open_run(source), folder, kind) for folder, kind in tables if folder is not None]
+            written += [write_tables(_run_in(source), folder, kind) for folder, kind in tables if folder is not None]
         if mcap is not None:
             from uavaccel.export import write_mcap
 
-            written.append(write_mcap(open_run(source), mcap, case))
+            written.append(write_mcap(_run_in(source), mcap, case))
         for path in chain.from_iterable(written):
             console.print(str(path))
         if minari is not None:
             from uavaccel.export import write_minari
 
-            for done, games in write_minari(open_run(source), minari):
+            for done, games in write_minari(_run_in(source), minari):
                 if done * LINES // games > (done - 1) * LINES // games:
                     console.print(f"{done}/{games} games")
             console.print(str(minari))
+
+
+def _run_in(source: str) -> RunDirectory:
+    """Return the run in a folder. Raises UserError for none, and says what a flight's is good for."""
+    from uavaccel.fly.log import TABLE, TRAJECTORY
+    from uavaccel.suites.registry import open_run
+
+    folder = Path(source)
+    flights = [*folder.glob(TRAJECTORY), *folder.glob(f"*/{TRAJECTORY}")]
+    if flights and not (folder / "config.yaml").is_file():
+        use = f"its table is {flights[0].with_name(TABLE)}, and `uavaccel watch {flights[0].parent}` shows it"
+        raise UserError(f"{source}: is of `uavaccel fly`, and no run: {use}")
+    return open_run(source)

@@ -135,7 +135,7 @@ NOT_SAMPLED = (
     Condition("command", "command"),
     Condition("profile", "profile"),
 )
-CONDITIONS = {each.short: each for each in (*SAMPLED.values(), *NOT_SAMPLED)}
+SHORT_NAMES = {each.short: each for each in (*SAMPLED.values(), *NOT_SAMPLED)}
 """All conditions by their short names."""
 OF_DIFFICULTY = tuple(name for name, each in SAMPLED.items() if each.key == f"difficulty.{name}")
 OF_TASK = tuple(name for name, each in SAMPLED.items() if each.key == name)

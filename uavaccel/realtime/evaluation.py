@@ -40,7 +40,7 @@ from uavaccel.files import (
 from uavaccel.metrics.intervals import Proportion, bootstrap_interval
 from uavaccel.own_code import errors_named, file_of
 from uavaccel.processes.workers import check_count, on_this_machine
-from uavaccel.realtime.measuring import MOST_STEPS, MakesEnv, environment_identity, made, plain_or_text, versions_with
+from uavaccel.realtime.measuring import MakesEnv, environment_identity, made, plain_or_text, versions_with
 from uavaccel.realtime.plant import counted
 from uavaccel.realtime.policies import ANSWER_S, TCP, Policy, load_policy
 from uavaccel.realtime.server import one_line
@@ -189,6 +189,7 @@ VERSION = 1
 USUAL: dict[str, list[float]] = {SECONDS: [0.0, 0.01, 0.02, 0.05, 0.1, 0.2], FACTORS: [0.0, 0.5, 1.0, 2.0, 4.0]}
 SUCCESS = ("is_success", "success")
 MOST_FAILURES = 3  # in a row
+LONGEST = 100_000  # steps of an episode, unless its environment's own time limit is longer
 MOST_EPISODES = 1_000_000
 Plan = Sequence[tuple[float, int]]
 """Latency and seed of each episode."""
@@ -392,6 +393,7 @@ def _episode(env: RealTime, policy: Policy, seed: int, success: str | None) -> R
     thinking_s: list[float] = []
     total, over, terminated = 0.0, False, False
     info: dict[str, Any] = {}
+    longest = max(LONGEST, getattr(env.unwrapped.spec, "max_episode_steps", None) or 0)
     try:
         observation, _ = env.reset(seed=seed)
         policy.reset(seed)
@@ -399,8 +401,8 @@ def _episode(env: RealTime, policy: Policy, seed: int, success: str | None) -> R
             observation, reward, terminated, truncated, info = env.step(policy(observation))
             total, over = total + reward, terminated or truncated
             thinking_s.append(info["thinking_s"])
-            if len(thinking_s) >= MOST_STEPS:
-                raise UserError(f"the episode has not ended after {MOST_STEPS:,} steps: give it a time limit")
+            if len(thinking_s) >= longest and not over:
+                raise UserError(f"the episode has not ended after {longest:,} steps: give the environment a time limit")
         if not math.isfinite(total):
             raise UserError(f"the return of the episode is {total}")
     except UserError as error:

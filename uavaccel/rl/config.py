@@ -267,6 +267,18 @@ class LearnerConfig(Config):
         return self
 
     @classmethod
+    def __get_pydantic_json_schema__(cls, core_schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
+        """Let `options` have the keys of the algorithm, where that is one of this package's own."""
+        made, own = super().__get_pydantic_json_schema__(core_schema, handler), (DqnOptions, PPOSettings)
+        options = [handler(getattr(kind, "__pydantic_core_schema__")) for kind in own]  # noqa: B009
+        named = [{"properties": {"algorithm": {"const": name}}, "required": ["algorithm"]} for name in OWN]
+        cases = [*zip(named, options, strict=True), ({"properties": {"algorithm": False}}, {"anyOf": options})]
+        whole = handler.resolve_ref_schema(made)
+        whole["allOf"] = [{"if": case, "then": {"properties": {"options": keys}}} for case, keys in cases]
+        whole["properties"]["algorithm"]["enum"] = ALGORITHMS.split(", ")
+        return made
+
+    @classmethod
     def keys_of(cls, mapping: Mapping[str, Any]) -> dict[str, Any]:
         """Return its keys with those of the task and of the algorithm's options that the mapping names."""
         every = {DOUBLE_DQN: DqnOptions.keys_of({}), PPO: PPOSettings.keys_of({})}

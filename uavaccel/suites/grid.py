@@ -19,7 +19,7 @@ import numpy as np
 import pandas as pd
 from pydantic import AfterValidator, Field, field_validator
 
-from uavaccel.config import MOST_SCALE, CommandName, Config, Games, parse_yaml, validate
+from uavaccel.config import MOST_SCALE, CommandName, Config, Games, parse_yaml, suggested_key, validate
 from uavaccel.draw import style
 from uavaccel.draw.page import (
     Block,
@@ -32,7 +32,7 @@ from uavaccel.draw.page import (
     command_name,
     unknown,
 )
-from uavaccel.envs.conditions import CONDITIONS, Condition
+from uavaccel.envs.conditions import SHORT_NAMES, Condition
 from uavaccel.errors import UsageError, UserError, suggestion
 from uavaccel.files import Plain
 from uavaccel.forms import Count, NotNegative, Number, Positive
@@ -386,14 +386,10 @@ INFERENCE = Condition("inference", "inference_s", "s")
 
 
 def key_of(name: str) -> str:
-    """Return the dotted key of a condition. Raises UsageError for a name that is neither short nor a task's key."""
-    if name in CONDITIONS:
-        return f"task.{CONDITIONS[name].key}"
-    if name.startswith("task."):
-        return name
-    if name == INFERENCE.short:
-        return INFERENCE.key
-    raise UsageError(f"--sweep {name}: is unknown; {suggestion(name, [*CONDITIONS, INFERENCE.short, 'task.KEY'])}")
+    """Return the dotted key of a condition, by its short name or that key."""
+    if name in SHORT_NAMES:
+        return f"task.{SHORT_NAMES[name].key}"
+    return INFERENCE.key if name == INFERENCE.short else name
 
 
 def value_text(value: object) -> str:
@@ -406,7 +402,6 @@ def parse_sweep(text: str) -> tuple[str, list[object]]:
     name, _, values = text.partition("=")
     if not name or not values:
         raise UsageError(f"--sweep {text}: must be NAME=VALUE,VALUE,..., as in wind=0,3,6")
-    key_of(name)
     return name, list(parse_yaml(f"[{values}]", source=f"--sweep {text}"))
 
 
@@ -424,7 +419,6 @@ class SweepConfig(PolicyExperiment):
     @classmethod
     def _conditions(cls, sweep: dict[str, tuple[object, ...]]) -> dict[str, tuple[object, ...]]:
         for name, values in sweep.items():
-            key_of(name)
             if not values or len(set(map(value_text, values))) < len(values):
                 raise ValueError(f"{name} needs values, each once, not {list(values)}")
         return sweep
@@ -454,12 +448,15 @@ class Sweep(PolicyGrid):
     def check(self, config: SweepConfig) -> None:
         """Raise UserError for a condition that the environment of the agent does not have, too."""
         evaluation = self.first(config)[1]
-        keys = type(evaluation.task).model_fields
-        known = [name for name, each in CONDITIONS.items() if each.key.partition(".")[0] in keys]
+        keys = type(evaluation.task).keys_of({})
+        known = [*(name for name, each in SHORT_NAMES.items() if each.key.partition(".")[0] in keys), INFERENCE.short]
         for name in config.sweep:
+            if name not in (*SHORT_NAMES, INFERENCE.short) and not name.startswith("task."):
+                there = suggested_key({**{short: {} for short in known}, "task": keys}, (), name)
+                raise UsageError(f"--sweep {name}: is unknown; {there}{'.KEY' * there.endswith(', task')}")
             _, task, key = key_of(name).rpartition("task.")
             if task and key.partition(".")[0] not in keys:
-                there = suggestion(name, [*known, INFERENCE.short])
+                there = suggestion(name, known)
                 raise UserError(f"--sweep {name}: {evaluation.env_id} has no {task}{key}; {there}")
             on_clock = key.partition(".")[0] in ("latency", INFERENCE.key)
             if on_clock and experiment.timing_of(evaluation) == "lockstep":
@@ -584,7 +581,7 @@ def usual_of(summary: Summary) -> list[Any]:
 
 def conditions_of(summary: Summary) -> pd.DataFrame:
     """Return the cells of a sweep's summary as a table, with the condition's name and unit and the value as a text."""
-    known = [*CONDITIONS.values(), INFERENCE]
+    known = [*SHORT_NAMES.values(), INFERENCE]
     names = {"": "as trained"} | {each.short: f"{each.short}, {each.unit}" for each in known if each.unit}
     cells = table_of(summary["cells"])
     texts = [value_text(cell["value"]) if cell["condition"] else "" for cell in summary["cells"]]

@@ -341,7 +341,9 @@ class Realtime(Suite[RealtimeConfig, Training]):
             with closing(realtime_agents.timed(block, agent, 0.0, "adsc", 1.0)) as env:
                 digest = load_policy(policy, env).sha256
             return GameResult(row | {"steps": 0, "last_return": None, "agent_sha256": digest})
-        weights, learned = realtime_agents.train(block, agent, config.seed + case.seed)
+        from uavaccel.suites.realtime_learner import train
+
+        weights, learned = train(block, agent, config.seed + case.seed)
         return GameResult(row | learned, weights)
 
     def score(self, report: Report) -> pd.DataFrame:

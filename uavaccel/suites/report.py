@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import cached_property
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
@@ -127,7 +128,7 @@ def table_of(rows: Sequence[Mapping[str, Any]]) -> Games:
 
     Unknown integers and texts stay None, so that no integer becomes a float.
     """
-    names = list(dict.fromkeys(name for row in rows for name in row))
+    names = list(dict.fromkeys(chain.from_iterable(rows)))
     columns = {name: _column([row.get(name) for row in rows]) for name in names}
     return pd.DataFrame(columns, columns=names)
 
@@ -186,7 +187,8 @@ def disturbed_games(games: Games) -> dict[str, int]:
 
 
 def disturbed_words(games: Games) -> list[str]:
-    """Return a note of how many games were disturbed; none where no game was."""
+    """Return a note of how many games that ended without an error were disturbed; none where no game was."""
+    games = finished(games)
     return [f"{count} of {len(games)} games disturbed" for count in disturbed_games(games).values()]
 
 

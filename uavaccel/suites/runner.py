@@ -8,6 +8,7 @@ DASK_SCHEDULER_ADDRESS) a local one of this machine's processes is started, on l
 from __future__ import annotations
 
 import atexit
+import json
 import math
 import os
 import threading
@@ -24,7 +25,7 @@ import numpy as np
 
 from uavaccel.config import MOST_GAMES, MOST_PROCESSES
 from uavaccel.errors import UsageError, UserError
-from uavaccel.files import is_file_name, to_json
+from uavaccel.files import is_file_name, parse_json, to_json
 from uavaccel.own_code import errors_named, files_of, trusted_folder, trusting
 from uavaccel.processes.lifetime import remove_orphaned_files, work_for_parent
 from uavaccel.processes.workers import LOKY, Delayed, check_count, on_this_machine
@@ -237,10 +238,11 @@ def fly_case(suite: AnySuite, config: Experiment, case: Case, opened: Opened) ->
             raise UserError(f"{where}: its row has to be a mapping, of no other case")
         if wrong := [name for name in game.row if not isinstance(name, str)]:
             raise UserError(f"{where}: its row has {wrong[0]!r} for a name, which has to be a text")
-        try:
-            to_json({"row": game.row, "host": game.host})
-        except (TypeError, ValueError) as error:
-            raise UserError(f"{where}: its row is no JSON: {error}") from None
+        for name, value in {**game.row, **game.host}.items():
+            try:
+                json.dumps(parse_json(to_json({name: value})), ensure_ascii=False).encode()
+            except (TypeError, ValueError) as error:
+                raise UserError(f"{where}: its row is no JSON: {name!r}: {error}") from None
         if not isinstance(game.arrays, Mapping) or not all(map(_is_array, game.arrays.values())):
             raise UserError(f"{where}: its arrays have to be a mapping of numbers, in rows of equal length")
     return replace(game, host={**host, **game.host})

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Annotated, Any, Literal, NotRequired
 
 from pydantic import Field, model_validator
@@ -93,7 +94,6 @@ class Seeds(SuiteOfRuns[SeedsConfig, SeedCase]):
     config = SeedsConfig
     row = SeedRow
     unit = "trainings"
-    grows = ("seeds", "training.games")
     training = Training()
 
     def check(self, config: SeedsConfig) -> None:
@@ -109,6 +109,11 @@ class Seeds(SuiteOfRuns[SeedsConfig, SeedCase]):
 
     def runs(self, config: SeedsConfig, case: SeedCase) -> list[tuple[Training, TrainConfig]]:
         return [(self.training, config.training.model_copy(update={"seed": case.seed}))]
+
+    def may_grow(self, folder: Path) -> Mapping[str, str]:
+        begun = sorted(folder.glob("parts/seed*"))
+        lacking = (why for part in begun if (why := self.training.may_grow(part)["games"]))
+        return {"seeds": "", "training.games": next(lacking, "")}
 
     def prepare(self, config: SeedsConfig, run: RunDirectory) -> None:
         """Let all trainings go on where they are to have more games."""

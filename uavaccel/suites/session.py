@@ -73,7 +73,7 @@ def reading(request: RunRequest) -> Iterator[tuple[AnySuite, Any]]:
     beside = folder_beside(experiment) if experiment is not None and is_file(experiment) else None
     with trusting(request.trust or beside is not None, beside, None if request.trust else modules_in(mapping)):
         if experiment is None:
-            suite = suite_of(RunDirectory(source))
+            suite, mapping, request = _as_begun(suite_of(RunDirectory(source)), mapping, request)
         else:
             suite = find_suite(dict(map(parse_override, request.overrides)).get("suite", mapping.get("suite")), source)
         if request.suite not in (None, suite.name, PART_OF.get(suite.name)):
@@ -84,7 +84,9 @@ def reading(request: RunRequest) -> Iterator[tuple[AnySuite, Any]]:
         if "env_id" in suite.config.model_fields:
             from uavaccel.rl.config import with_env_id  # loads Gymnasium
 
-            mapping = with_env_id(mapping)  # further keys may go into its task
+            env_id, mapping = mapping.get("env_id"), with_env_id(mapping)  # further keys may go into its task
+            if env_id is not None and env_id != mapping["env_id"]:
+                raise UserError(f"{source}: env_id = {env_id!r} beside a task of {mapping['env_id']}: leave one out")
         if experiment is not None and is_task(experiment):
             from uavaccel.suites.train import first_settings
 
@@ -101,6 +103,20 @@ def reading(request: RunRequest) -> Iterator[tuple[AnySuite, Any]]:
             over_seeds = {"seed": config.seed, "seeds": seeds, "training": config.model_dump(mode="json")}
             suite = find_suite("seeds", source)
             yield suite, configuration(suite, over_seeds, source, {"seeds": "--seeds"})
+
+
+def _as_begun(
+    suite: AnySuite, mapping: dict[str, Plain], request: RunRequest
+) -> tuple[AnySuite, dict[str, Plain], RunRequest]:
+    """Return what is gone on with; of trainings over seeds for `train`, which began them, the training and its keys."""
+    training = mapping.get("training")
+    if request.suite is None or request.suite != PART_OF.get(suite.name) or not isinstance(training, Mapping):
+        return suite, mapping, request
+    if training.get("seed") != mapping.get("seed"):  # of a YAML file of one's own
+        return suite, mapping, request
+    options = {**request.options, "seeds": request.options.get("seeds") or mapping.get("seeds")}
+    overrides = [override.removeprefix("training.") for override in request.overrides]
+    return find_suite(request.suite, ""), dict(training), replace(request, options=options, overrides=overrides)
 
 
 def quick_keys(request: RunRequest, suite: AnySuite) -> Mapping[str, object]:

@@ -191,9 +191,9 @@ class Suite(ABC, Generic[ConfigType, CaseType]):
         """Return `serial`; overridden where it depends on the configuration."""
         return self.serial
 
-    def may_grow(self, folder: Path) -> tuple[str, ...]:
-        """Return `grows`; overridden where it depends on what the run in `folder` has."""
-        return self.grows
+    def may_grow(self, folder: Path) -> Mapping[str, str]:
+        """Return `grows`, each with why it cannot with what the run in `folder` has; with "" if it can."""
+        return dict.fromkeys(self.grows, "")
 
     def prepare(self, config: ConfigType, run: RunDirectory) -> None:
         """Bring the run's folder to a state from which it can be resumed; called before a run is begun or resumed."""

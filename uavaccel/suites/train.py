@@ -184,13 +184,14 @@ class Training(Suite[TrainConfig, SimpleCase]):
         for game in range(config.games):  # lane and environment of each come out of the training
             yield SimpleCase(game_case(game), timing, typical_s)
 
-    def may_grow(self, folder: Path) -> tuple[str, ...]:
+    def may_grow(self, folder: Path) -> Mapping[str, str]:
         """More games can be flown where there is a checkpoint to resume from."""
-        if not (folder / CHECKPOINTS).is_dir():
-            return ()
-        from uavaccel.rl.learner import find_checkpoint
+        if (folder / CHECKPOINTS).is_dir():
+            from uavaccel.rl.learner import find_checkpoint
 
-        return ("games",) if find_checkpoint(folder / CHECKPOINTS) else ()
+            if find_checkpoint(folder / CHECKPOINTS):
+                return {"games": ""}
+        return {"games": f"there is no checkpoint in {folder / CHECKPOINTS}"}
 
     def prepare(self, config: TrainConfig, run: RunDirectory) -> None:
         """Bring an unfinished training back to its last checkpoint."""
@@ -487,9 +488,9 @@ def phase_times(reports: Sequence[Report]) -> pd.DataFrame:
         else:
             if any(not {"wall_s", "learner_s", "host_phase_s"} <= entry.keys() for entry in report.timings):
                 raise UserError(f"{report.run.path / 'timing.jsonl'}: has not the times of every game of a training")
-            phase_s = over_all_starts([entry["learner_s"] for entry in report.timings])
-            for entry in report.timings:
-                phase_s.update(entry["host_phase_s"])
+            learned_s = over_all_starts([entry["learner_s"] for entry in report.timings])
+            flown_s = pd.DataFrame([entry["host_phase_s"] for entry in report.timings]).sum()
+            phase_s = {phase: learned_s[phase] + flown_s.get(phase, 0.0) for phase in PHASES}
             wall_s = wall_times(report)[-1]
         label += f"\n{report.run.path}" if labels.count(label) > 1 else ""
         trainings[label] = subset(phase_s, *PHASES) | {"speed": report.summary["sim_time_s"] / wall_s}
