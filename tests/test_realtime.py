@@ -258,7 +258,7 @@ def test_what_was_measured_is_replayed_as_a_distribution(tmp_path: Path) -> None
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        *((text, "neither JSON nor YAML: ") for text in ("[1", "latency: 2024-13-45", "[" * 999)),
+        *((text, "neither JSON nor YAML: ") for text in ("[1", "latency: 2024-13-45", "[" * 9_999)),
         ("latency: ü", "not UTF-8 text$"),
         ("[1, 2]", "latency must be a mapping; 'measured' and its save"),
         ("latency: {request_us: 7}", "request_us must be a mapping"),
