@@ -11,24 +11,43 @@ from importlib import import_module
 from itertools import product
 from typing import Any
 
+import mujoco
+import numpy as np
 import pytest
 
 import uavaccel
 from tests.host_kernels import stand_in
 from tests.test_kernels_compile import FLOWN
+from uavaccel.envs.navigate import Navigate
+from uavaccel.kernels.appearance import empty_scenes, fill_scenes, read_appearance
+from uavaccel.kernels.pictures import render_lanes
+from uavaccel.resources import asset
+from uavaccel.sim.lane import layout_from
 
 # Of single precision, and of double for a low-pass filter.
 CAMERAS: tuple[dict[str, Any], ...] = {"dvs_preset": "clean"}, {"dvs_preset": "noisy"}
+STATE = {"observation": "state", "mediation": {"gap_s": 0.1, "start_speed": 0.5}}
+CASES = [*FLOWN, (Navigate, {"observation": "depth", "timing": "virtual"}), (Navigate, STATE)]
 
 
 def main() -> None:
     for task, camera in product(("lane", "navigate"), CAMERAS):
         fly_a_command(uavaccel.make_vec(task, 1, simulator="kernels", observation="dvs", max_commands=1, **camera))
+    render()
     with pytest.MonkeyPatch.context() as patch:
         stand_in(patch)
         of_a_gpu = import_module("uavaccel.envs.cuda_batch").CudaBatch
-        for kind, keys in FLOWN:
+        for kind, keys in CASES:
             fly_a_command(of_a_gpu(kind, 1, max_commands=1, **keys))
+
+
+def render() -> None:
+    """A picture of each kind."""
+    appearance = read_appearance(mujoco.MjModel.from_xml_path(str(asset("mjcf/lane.xml"))))
+    scenes, pose = empty_scenes(1), (np.zeros((1, 3)), np.array([[1.0, 0.0, 0.0, 0.0]]))
+    fill_scenes(appearance, scenes, [0], [layout_from({"obstacles": []}, "test")])
+    for kind in ("gray", "colour", "depth"):
+        render_lanes(kind, appearance, scenes, np.zeros(1, np.int32), *pose)
 
 
 def fly_a_command(batch: Any) -> None:
