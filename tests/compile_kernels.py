@@ -23,6 +23,7 @@ from uavaccel.kernels.appearance import empty_scenes, fill_scenes, read_appearan
 from uavaccel.kernels.pictures import render_lanes
 from uavaccel.resources import asset
 from uavaccel.sim.lane import layout_from
+from uavaccel.vision import dvs
 
 # Of single precision, and of double for a low-pass filter.
 CAMERAS: tuple[dict[str, Any], ...] = {"dvs_preset": "clean"}, {"dvs_preset": "noisy"}
@@ -34,6 +35,7 @@ def main() -> None:
     for task, camera in product(("lane", "navigate"), CAMERAS):
         fly_a_command(uavaccel.make_vec(task, 1, simulator="kernels", observation="dvs", max_commands=1, **camera))
     render()
+    count_events()
     with pytest.MonkeyPatch.context() as patch:
         stand_in(patch)
         of_a_gpu = import_module("uavaccel.envs.cuda_batch").CudaBatch
@@ -48,6 +50,14 @@ def render() -> None:
     fill_scenes(appearance, scenes, [0], [layout_from({"obstacles": []}, "test")])
     for kind in ("gray", "colour", "depth"):
         render_lanes(kind, appearance, scenes, np.zeros(1, np.int32), *pose)
+
+
+def count_events() -> None:
+    """By each preset of the exact simulator's event camera."""
+    frames = np.zeros((2, 144, 256), np.uint8)
+    for preset in dvs.PRESETS.values():
+        sensor = dvs.make_sensor(preset, frames[0].shape, seed=0)
+        dvs.step_with_events(sensor, dvs.init_state(sensor, frames[0]), frames[1], 0.01)
 
 
 def fly_a_command(batch: Any) -> None:
