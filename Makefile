@@ -29,7 +29,7 @@ run: setup ## fly the paper's square at 50x, measured, and write a report
 # One core compiles kernels, which tests load, while another checks types.
 test: $(STAMP)-dev ## linter, types and tests
 	$(BIN)/ruff check .
-	$(BIN)/python -m tools.compile_kernels & $(BIN)/mypy; typed=$$?; wait && exit $$typed
+	$(BIN)/python -m tests.compile_kernels & $(BIN)/mypy; typed=$$?; wait && exit $$typed
 	$(BIN)/pytest
 
 # The variable keeps the theme from advertising its successor.

@@ -235,17 +235,21 @@ def _size(name: str) -> Any:
     return 1
 
 
-@pytest.fixture
-def host_kernels(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """`CudaLanes` and `CudaBatch` on "cpu"."""
+def stand_in(patch: pytest.MonkeyPatch) -> None:
+    """Let `CudaLanes` and `CudaBatch` fly on "cpu"."""
     module = ModuleType(NAME)
     functions = {each.__name__: each for each in (shared, on_device, in_each_lane)}
     module.__dict__.update(functions, SideStream=Late, compiled=lambda nominal: Kernels(), __getattr__=_size)
-    monkeypatch.setitem(sys.modules, NAME, module)
-    monkeypatch.setattr(uavaccel.kernels, "cuda", module, raising=False)
-    monkeypatch.setattr(th.cuda, "Event", Immediate)
+    patch.setitem(sys.modules, NAME, module)
+    patch.setattr(uavaccel.kernels, "cuda", module, raising=False)
+    patch.setattr(th.cuda, "Event", Immediate)
     _forget()
-    monkeypatch.setattr(import_module("uavaccel.envs.cuda_batch"), "DEVICE", "cpu")
+    patch.setattr(import_module("uavaccel.envs.cuda_batch"), "DEVICE", "cpu")
+
+
+@pytest.fixture
+def host_kernels(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    stand_in(monkeypatch)
     yield
     _forget()
 

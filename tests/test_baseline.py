@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
 import sys
 from contextlib import nullcontext
 from copy import deepcopy
@@ -181,32 +180,6 @@ def test_a_vec_env_asks_the_lanes_that_it_is_asked_about() -> None:
 
 
 # --- an extra -----------------------------------------------------------------------------------------------------
-
-PROGRAM = """
-import sys
-from tests.learning import fly_here, side_by_side, tiny_config
-from uavaccel.config import validate
-from uavaccel.rl.learner import make_learner
-from uavaccel.rl.policy import make_policy
-from uavaccel.suites.train import TrainConfig
-import uavaccel.suites.trainer, uavaccel.suites.evaluate_lanes, uavaccel.suites.evaluate_again, uavaccel.rl.onnx_file
-import uavaccel.rl.adapters, uavaccel.rl.learner
-fly_here()
-hover = {"env_id": "uavaccel/Hover-v0", "algorithm": "ppo", "hidden": [8], "options": {"rollout": 8, "minibatches": 2}}
-for config in (tiny_config({"observation": "state"}, mirror=False), validate(TrainConfig, hover, "test")):
-    learner = make_learner(config, side_by_side(config))
-    for _ in range(3):
-        learner.advance()
-    make_policy(config)
-print(*sys.modules)
-"""
-
-
-def test_built_in_trainings_do_not_load_it() -> None:
-    done = subprocess.run([sys.executable, "-c", PROGRAM], capture_output=True, text=True, check=True)
-    loaded = set(done.stdout.splitlines()[-1].split())
-    assert "uavaccel.rl.double_dqn" in loaded
-    assert not {name for name in loaded if name.partition(".")[0] == "stable_baselines3"}
 
 
 def test_without_it_its_algorithms_are_one_clear_line(monkeypatch: pytest.MonkeyPatch) -> None:

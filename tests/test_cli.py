@@ -103,7 +103,7 @@ def test_the_shell_can_complete(words: str, completion: str) -> None:
     assert (done.returncode, done.stderr) == (0, "")
 
 
-@pytest.mark.parametrize(("arguments", "unbuffered"), [(["--version"], ""), (["init", "--schema", "train"], "1")])
+@pytest.mark.parametrize(("arguments", "unbuffered"), [(["--version"], ""), (["init", "--schema", "dp1"], "1")])
 def test_who_reads_no_further_than_the_head_is_told_nothing(arguments: list[str], unbuffered: str) -> None:
     reading, writing = os.pipe()
     os.close(reading)

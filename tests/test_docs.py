@@ -215,7 +215,7 @@ def make_everything(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for block, line in COMMANDS if first else ():
         missing = [option for package, option in OPTIONAL.items() if not find_spec(package)]
         if block.page == MADE and not any(option in line for option in missing):
-            shorter = ["--set", "task.max_commands=6", "--no-films"] if line.startswith("uavaccel evaluate") else []
+            shorter = ["--set", "task.max_commands=2", "--no-films"] if line.startswith("uavaccel evaluate") else []
             assert not app([*shlex.split(line)[1:], *shorter], standalone_mode=False)
 
 

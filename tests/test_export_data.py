@@ -246,8 +246,9 @@ def test_pictures_and_events_of_dp2(dp2: RunDirectory, tmp_path: Path) -> None:
 @needs_opengl
 @pytest.mark.slow
 def test_an_evaluation_is_logged_with_its_collision(tmp_path: Path) -> None:
-    run = evaluated(tmp_path / "run", "task.max_commands=12", "first_lane=2", games=1)
-    assert run.rows()[0]["collision"] == "obstacle_01"
+    lane = "task.lane={obstacles: [{x_m: 3, y_m: 0, half_side_m: 0.5}]}"
+    run = evaluated(tmp_path / "run", "task.max_commands=6", lane, games=1)
+    assert run.rows()[0]["collision"] == "obstacle_00"
     export(str(run.path), mcap=tmp_path / "logs")
     for row in run.rows():
         log = read(tmp_path / "logs" / f"{row['case']}.mcap")

@@ -6,8 +6,6 @@ import subprocess
 import sys
 from pathlib import Path
 
-import pytest
-
 from tools.mutate import imported
 
 PACKAGE = Path(__file__).parents[1] / "uavaccel"
@@ -88,40 +86,41 @@ def test_what_is_imported_for_itself_brings_nothing_heavy() -> None:
         assert not absent & set(loaded.split()), modules
 
 
-COMMAND = """
+COMMANDS = {
+    "--help": set(),
+    "doctor": set(),
+    "fly print.py": set(),
+    "run dp1 --dry-run": {"mujoco"},
+    "train --dry-run": {"gymnasium", "mujoco"},
+    "evaluate --dry-run": {"gymnasium", "mujoco", "numba", "scipy"},
+}
+"""What each needs, and what those before it do."""
+ONE_AFTER_ANOTHER = """
 import sys
 from uavaccel.cli.main import main
-if "doctor" in sys.argv:
-    sys.executable = "false"  # in whose place it tries the simulator
-try:
-    main()
-finally:
+program = sys.executable
+for line in sys.argv[1:]:
+    sys.argv[1:] = line.split()
+    sys.executable = "false" if line == "doctor" else program  # in whose place it tries the simulator
+    try:
+        main()
+    except SystemExit:
+        pass
     print("loaded:", *sys.modules)
 """
 
 
-@pytest.mark.parametrize(
-    ("arguments", "needed"),
-    [
-        ("--help", set()),
-        ("doctor", set()),
-        ("run dp1 --dry-run", {"mujoco"}),
-        ("train --dry-run", {"gymnasium", "mujoco"}),
-        ("evaluate --dry-run", {"gymnasium", "mujoco", "numba", "scipy"}),
-        ("fly print.py", set()),
-    ],
-)
-def test_a_command_loads_what_it_needs(arguments: str, needed: set[str], tmp_path: Path) -> None:
+def test_a_command_loads_what_it_needs(tmp_path: Path) -> None:
     """The doctor tries the simulator in other processes; configurations need the profiles, which are MuJoCo's."""
     (tmp_path / "print.py").write_text("print(1)")
-    command = [sys.executable, "-c", COMMAND, *arguments.split()]
+    command = [sys.executable, "-c", ONE_AFTER_ANOTHER, *COMMANDS]
     environment = {**os.environ, "PYTHONPATH": str(PACKAGE.parent)}
     done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=True)
-    assert HEAVY & set(done.stdout.splitlines()[-1].split()) == needed
+    loaded = [HEAVY & set(line.split()) for line in done.stdout.splitlines() if line.startswith("loaded: ")]
+    assert loaded == [*COMMANDS.values()], done.stderr
 
 
-def test_a_learner_does_not_load_pytorchs_compiler() -> None:
-    program = """
+TRAINED = """
 import sys
 from uavaccel.rl.agents import first_policy
 from uavaccel.rl.config import LearnerConfig
@@ -131,10 +130,31 @@ optimizer.zero_grad()
 optimizer.step()
 optimizer.load_state_dict(optimizer.state_dict())
 print(*sys.modules)
+from tests.learning import fly_here, side_by_side, tiny_config
+from uavaccel.config import validate
+from uavaccel.rl.learner import make_learner
+from uavaccel.rl.policy import make_policy
+from uavaccel.suites.train import TrainConfig
+import uavaccel.suites.trainer, uavaccel.suites.evaluate_lanes, uavaccel.suites.evaluate_again, uavaccel.rl.onnx_file
+import uavaccel.rl.adapters, uavaccel.rl.learner
+fly_here()
+hover = {"env_id": "uavaccel/Hover-v0", "algorithm": "ppo", "hidden": [8], "options": {"rollout": 8, "minibatches": 2}}
+for config in (tiny_config({"observation": "state"}, mirror=False), validate(TrainConfig, hover, "test")):
+    learner = make_learner(config, side_by_side(config))
+    for _ in range(3):
+        learner.advance()
+    make_policy(config)
+print(*sys.modules)
 """
-    command = [sys.executable, "-c", program]
+
+
+def test_a_learner_loads_neither_pytorchs_compiler_nor_other_learners() -> None:
+    command = [sys.executable, "-c", TRAINED]
     done = subprocess.run(command, cwd=PACKAGE.parent, capture_output=True, text=True, check=True)
-    assert not {"torch._dynamo", "sympy", "numba", "scipy"} & set(done.stdout.split())
+    learned, trained = (set(line.split()) for line in done.stdout.splitlines()[-2:])
+    assert not {"torch._dynamo", "sympy", "numba", "scipy"} & learned
+    assert "uavaccel.rl.double_dqn" in trained
+    assert "stable_baselines3" not in trained
 
 
 def test_the_process_of_a_measured_environment_loads_nothing_that_learns() -> None:

@@ -280,7 +280,7 @@ def test_the_kernels_teach_the_same_weights(trained: RunDirectory, tmp_path: Pat
 @pytest.mark.slow
 def test_the_shipped_training_learns_to_hover(tmp_path: Path) -> None:
     """In games that none of its seeds has flown, and with fewer than it ships with."""
-    run = fly_into(tmp_path / "run", Training(), configured("hover_ppo", "games=100"))
+    run = fly_into(tmp_path / "run", Training(), configured("hover_ppo", "games=100", "simulator=kernels"))
     keys = ("simulator=kernels", "task.timing=lockstep")
     flown = fly_into(tmp_path / "flown", Evaluation(), configured("evaluate", *keys, agent=str(run.path), games=40))
     assert sum(row["is_success"] for row in flown.rows()) >= 36

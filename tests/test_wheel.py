@@ -93,7 +93,7 @@ def test_an_installed_wheel_runs_trains_flies_and_watches(site: Path, tmp_path: 
     small = "--set environments=2 --set turns=1 --set task.max_commands=3 --set task.observation=state"
     flying = {f"{grid} --out path": "report: path/report.html", "fly script.py": "north 1.2"}
     learning = {f"train --games 2 {small} --set mirror=false --out learned": "report: learned/report.html"}
-    learning["evaluate learned --games 1 --out evaluated"] = "without films: MP4: needs av: pip install"
+    learning["evaluate learned --games 1 --no-films --out evaluated"] = "report: evaluated/report.html"
     before = sorted(site.rglob("*"))
     for missing, commands in (([*OF_EXTRAS, "torch"], flying), (OF_EXTRAS, learning)):
         with program(site, tmp_path, missing, "-c", ONE_AFTER_ANOTHER, *commands) as process:

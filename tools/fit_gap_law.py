@@ -26,7 +26,7 @@ of the logarithms by which predictions miss what was found, as a factor; every t
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import closing
 from itertools import combinations
 from math import sqrt
@@ -54,6 +54,7 @@ LAWS = [law for count in range(len(TIMES) + 1) for law in combinations(TIMES, co
 FACTORS = np.geomspace(1e-4, 1e4, 2001)  # of a law, in steps of .9 %
 PREDICTED = ("Hover motors", "Gates", "Navigate", "InvertedPendulum", "Hopper")  # chosen before any of them was flown
 Numbers = NDArray[np.float64]
+Missed = dict[tuple[str, ...], dict[str, Numbers]]
 
 
 class Fit(NamedTuple):
@@ -159,35 +160,42 @@ def judged(table: pd.DataFrame) -> pd.DataFrame:
     return table[table.without_gap >= LEAST].reset_index(drop=True)
 
 
-def misses(law: tuple[str, ...], factors: Numbers, of: pd.DataFrame) -> Numbers:
-    """Return by how much a law with each factor (n,) misses: the mean over tasks of squared logarithms (n,)."""
+def misses(law: tuple[str, ...], factors: Numbers, of: pd.DataFrame) -> dict[str, Numbers]:
+    """Return by how much a law with each factor (n,) misses each task: the mean of squared logarithms (n,)."""
     times = np.exp(np.log(of[list(law)]).mean(axis=1)).to_numpy() if law else np.ones(len(of))
     predicted = factors * times[:, None]
     nearest = np.clip(predicted, of[["at_least_s"]].to_numpy(), of[["below_s"]].to_numpy())
     squared = np.log(predicted / nearest) ** 2
     tasks = of.task.to_numpy()
-    missed: Numbers = np.mean([squared[tasks == task].mean(axis=0) for task in np.unique(tasks)], axis=0)
-    return missed
+    return {task: squared[tasks == task].mean(axis=0) for task in np.unique(tasks)}
 
 
-def fit(table: pd.DataFrame, predicted: tuple[str, ...]) -> Fit:
-    """Return the law that errs least on the other tasks, judged on those predicted; without any, on all of them."""
-    held = table.task.isin(predicted)
-    fitted, rest = table[~held], table[held] if predicted else table
-    missed = {law: misses(law, FACTORS, fitted) for law in LAWS}
-    factors = {law: np.exp(np.log(FACTORS[each <= each.min() + 1e-12]).mean()) for law, each in missed.items()}
+def fit(table: pd.DataFrame, predicted: tuple[str, ...], missed: Missed | None = None) -> Fit:
+    """Return the law that errs least on the other tasks, judged on those predicted; without any, on all of them.
+
+    `missed` is what laws miss by FACTORS, for many fits of one table.
+    """
+    missed = missed or {law: misses(law, FACTORS, table) for law in LAWS}
+    of_fitted = {law: mean(each for task, each in of.items() if task not in predicted) for law, of in missed.items()}
+    factors = {law: np.exp(np.log(FACTORS[each <= each.min() + 1e-12]).mean()) for law, each in of_fitted.items()}
+    rest = table[table.task.isin(predicted)] if predicted else table
 
     def error(law: tuple[str, ...]) -> float:
-        return float(np.exp(np.sqrt(misses(law, np.array([factors[law]]), rest)[0])))
+        return float(np.exp(np.sqrt(mean(misses(law, np.array([factors[law]]), rest).values())[0])))
 
-    best = min(LAWS, key=lambda law: missed[law].min())
+    best = min(LAWS, key=lambda law: of_fitted[law].min())
     return Fit(best, float(factors[best]), error(best), error(()))
+
+
+def mean(of_tasks: Iterable[Numbers]) -> Numbers:
+    missed: Numbers = np.mean([*of_tasks], axis=0)
+    return missed
 
 
 def halves(table: pd.DataFrame) -> list[Fit]:
     """Return the fits on every half of the tasks, judged on the other half."""
-    tasks = table.task.unique()
-    return [fit(table, chosen) for chosen in combinations(tasks, len(tasks) // 2)]
+    tasks, missed = table.task.unique(), {law: misses(law, FACTORS, table) for law in LAWS}
+    return [fit(table, chosen, missed) for chosen in combinations(tasks, len(tasks) // 2)]
 
 
 def words(found: Fit) -> str:
