@@ -32,6 +32,7 @@ from uavaccel.fly.log import MESSAGES, TRAJECTORY
 from uavaccel.fly.options import THINK_S, FlightOptions
 from uavaccel.fly.wall import recorded, serving
 from uavaccel.machine import describe_run
+from uavaccel.wire.settings import Settings, read_settings
 
 LEAST_BYTES = 500  # of an image: responses without one are shorter
 FLOWN_M = 0.5  # shorter paths are no flight
@@ -271,7 +272,7 @@ def over_the_wire(plan: Plan, folder: Path, scratch: Path, python: Path, profile
     refused = [line for line in told if "is not known" in line or "was refused" in line]
     if status not in (0, None):
         return Result(False, last_line(output))
-    _, poses = recorded(scratch)
+    _, poses = recorded(scratch, (read_settings(file) if file else Settings()).vehicle)
     if not len(poses):
         return judged(plan, refused, 0.0, -1, "")
     end = f"stopped after {limit_s:g} s at {WIRE_CLOCK:g}x" if status is None else ""
