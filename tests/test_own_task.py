@@ -277,6 +277,7 @@ MIRRORED = "action_space, mirrored = lambda self: Box(-1.0, 1.0, (3,)), lambda s
     (f"{MIRRORED} 1", "Post.mirrored: must return a Mirror of envs.task or None"),
     (f"{MIRRORED} ([1, -2, 3, -4, 5], [1, -2])", "Post.mirrored: must return a Mirror of envs.task or None: action = "),
     (f"{MIRRORED} ([1, -2, 3], [1, -2, 3])", "Post.mirrored: must return a Mirror of envs.task or None: fields = "),
+    (f"{MIRRORED} ([1], [1, -2, 3])", "Post.mirrored: must return a Mirror of envs.task or None: fields = [1]"),
     ("def goal(self, action): return 4", "Post.goal: must return a goal of uavaccel.kinematics"),
     ("@property\n    def directions(self): return [(float('nan'), 0, 0)] * 4",
      "Post.goal: must be of finite numbers, not VelocityGoal("),
