@@ -186,12 +186,15 @@ def _run(code: CodeType, path: Path, arguments: tuple[str, ...]) -> tuple[int, s
 
 
 def _let_go() -> None:
-    """Destroy what the script holds, as Python does at its end, if any of it has a destructor."""
-    modules = [vars(module) for module in list(sys.modules.values()) if isinstance(module, ModuleType)]
-    own = [namespace for namespace in modules if of_a_script(namespace)]
+    """Destroy what the script and its modules hold, as Python does at its end, if any of it has a destructor."""
+    loaded = {name: vars(module) for name, module in [*sys.modules.items()] if isinstance(module, ModuleType)}
+    own = {name: namespace for name, namespace in loaded.items() if of_a_script(namespace)}
+    has_destructors = any(map(_has_destructors, own.values()))
+    for name in own if has_destructors else ():
+        del sys.modules[name]
     sys.modules["__main__"] = ModuleType("__main__")
-    if any(map(_has_destructors, own)):
-        del modules, own
+    if has_destructors:
+        del loaded, own
         gc.collect()
 
 
