@@ -152,7 +152,7 @@ def _still_flying_at_exit() -> Iterator[None]:
             act()
         except (FlightOver, KeyboardInterrupt):
             pass
-        except Exception as error:
+        except (Exception, SystemExit) as error:
             error.__traceback__ = error.__traceback__ and error.__traceback__.tb_next  # without this frame
             print(f"Exception ignored in atexit callback: {act.func!r}", file=sys.stderr)
             traceback.print_exception(error)
