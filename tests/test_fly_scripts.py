@@ -102,14 +102,22 @@ CHILD = """
     client = airsim.MultirotorClient()
     print(client.ping())
 """
+LAST = """
+    class Last:
+        def __init__(self):
+            self.client, self.itself = airsim.MultirotorClient(), self
+        def __del__(self):
+            print(self.client.ping())
+    last = Last()
+"""
 REFUSED = "it cannot share a simulated clock: fly the script with --timing wall"
 
 
 @pytest.mark.slow
-def test_processes_of_a_script_share_the_server(folder: Folder) -> None:
+def test_processes_of_a_script_and_its_destructors_share_the_server(folder: Folder) -> None:
     folder.write(CHILD, "child.py")
-    shared = folder.fly(CHILDREN, "--timing", "wall", "--", str(folder.path), "fork")
-    assert shared.stdout.splitlines()[:-1] == ["0 True", "[0, 1, 4]", "0", "True"], shared.stderr
+    shared = folder.fly(CHILDREN + LAST, "--timing", "wall", "--", str(folder.path), "fork")
+    assert shared.stdout.splitlines()[:-1] == ["0 True", "[0, 1, 4]", "0", "True", "True"], shared.stderr
 
 
 @pytest.mark.slow
@@ -191,8 +199,9 @@ def test_output_that_nobody_takes_is_one_line_and_none_for_nobody(
 
 
 def test_what_is_called_at_exit_and_then_destroyed_may_still_fly(folder: Folder) -> None:
+    folder.write("class Kept:\n    def __del__(self):\n        print(client.ping())\nkept = Kept()\n", "keeps.py")
     text = """
-        import airsim, atexit, time
+        import airsim, atexit, keeps, time
 
         class Env:
             def __init__(self):
@@ -202,7 +211,7 @@ def test_what_is_called_at_exit_and_then_destroyed_may_still_fly(folder: Folder)
                 print(env is self, self.client.hoverAsync().get(), self.client.reset())
 
         env = Env()
-        client = airsim.MultirotorClient()
+        client = keeps.client = airsim.MultirotorClient()
         client.enableApiControl(True)
 
         @atexit.register
@@ -210,12 +219,16 @@ def test_what_is_called_at_exit_and_then_destroyed_may_still_fly(folder: Folder)
             print("last")
 
         atexit.register(lambda: 1 / 0)
+        atexit.register(exit, 3)
         atexit.register(lambda duration: print(client.hoverAsync().get(), client.ping()), duration=1)
         atexit.unregister(atexit.register(print, "never"))
         print("first")
     """
     done = folder.fly_here(text)
-    assert done.stdout.splitlines() == ["first", "False True", "last", "True False None"]
+    *before, first, second = done.stdout.splitlines()
+    assert before == ["first", "False True", "last"]
+    assert done.returncode == 0
+    assert {first, second} == {"True", "True False None"}
     assert done.stderr.splitlines()[-1] == "ZeroDivisionError: division by zero"
     assert "uavaccel" not in done.stderr
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import _thread
 import asyncio
+import itertools
 import logging
 import multiprocessing
 import multiprocessing.dummy
@@ -627,17 +628,25 @@ def test_a_wait_without_an_end_ends_with_the_flight() -> None:
 def test_a_thread_that_lets_no_other_one_run_is_told_of_once(
     monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    """It may wait for that one, as on Python's own threads. Who waits for an event waits for nobody's turn."""
+    """It may wait for that one, as on Python's own threads.
+
+    Who waits for an event waits for nobody's turn; a long sleep, too, takes the machine's time to fly.
+    """
     monkeypatch.setattr("uavaccel.fly.turns.BUSY_S", 0.01)
-    modules: Any = ThreadModules(Turns(VirtualClock(), limit_ns=3 * NS_PER_S)).threading
+    turns = Turns(VirtualClock(), limit_ns=3 * NS_PER_S)
+    modules: Any = ThreadModules(turns).threading
     event, woken, said = modules.Event(), list[bool](), ""
     waits = modules.Thread(target=event.wait)
     waits.start()
     waits.join(1.0)
     time.sleep(0.1)
     assert not capfd.readouterr().err
+    turns.flown_ns = itertools.count(1).__next__
     other = modules.Thread(target=woken.append, args=(True,))
     other.start()
+    time.sleep(0.1)
+    assert not capfd.readouterr().err
+    turns.flown_ns = int
     while not said:
         said = capfd.readouterr().err
     assert re.fullmatch(

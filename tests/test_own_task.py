@@ -258,6 +258,7 @@ MIRRORED = "action_space, mirrored = lambda self: Box(-1.0, 1.0, (3,)), lambda s
     ("def fields(self, state, course): return [1, [2, 3]]", "Post.fields: must return numbers, in lists of equal"),
     ("def observation_space(self): return Box(0, 1, (3,))", "Post.fields: observations are of shape (5,), in"),
     ("def sample(self, random, options): return {'a': {1}}", "Post.sample: must return plain numbers"),
+    ("def fields(self, state, course): return (each for each in [1])", "Post.fields: must return numbers, in lists of"),
     ("def fields(self, state, course): return []", "Post.fields: returned no numbers"),
     ("def fields(self, state, course): return [1e300]", "Post.fields: returned a number that is not finite: [inf]"),
     ("def reward(self, before, now): return __import__('numpy').ones(1)", "Post.reward: returned array("),
@@ -277,6 +278,7 @@ MIRRORED = "action_space, mirrored = lambda self: Box(-1.0, 1.0, (3,)), lambda s
     (f"{MIRRORED} 1", "Post.mirrored: must return a Mirror of envs.task or None"),
     (f"{MIRRORED} ([1, -2, 3, -4, 5], [1, -2])", "Post.mirrored: must return a Mirror of envs.task or None: action = "),
     (f"{MIRRORED} ([1, -2, 3], [1, -2, 3])", "Post.mirrored: must return a Mirror of envs.task or None: fields = "),
+    (f"{MIRRORED} ([1], [1, -2, 3])", "Post.mirrored: must return a Mirror of envs.task or None: fields = [1]"),
     ("def goal(self, action): return 4", "Post.goal: must return a goal of uavaccel.kinematics"),
     ("@property\n    def directions(self): return [(float('nan'), 0, 0)] * 4",
      "Post.goal: must be of finite numbers, not VelocityGoal("),
@@ -286,7 +288,7 @@ MIRRORED = "action_space, mirrored = lambda self: Box(-1.0, 1.0, (3,)), lambda s
     ("def fields(self, state, course): return course.pop('aim_m')", "Post.fields: changes the course that it is"),
     ("scene = 'lane'\n    def layout(self, course): return {'obstacles': [{'x': 1}]}",
      "Post.layout: lane: unknown key 'obstacles.0.x'"),
-    *[(f"def {signature}: return __import__('numpy').random.random()", f"Post.{name}: called again with the same,")
+    *[(f"def {signature}: return __import__('numpy').random.random(2000)", f"Post.{name}: called again with the same,")
       for name, signature in {
           "reward": "reward(self, before, now)", "fields": "fields(self, state, course)",
           "sample": "sample(self, random, options)"

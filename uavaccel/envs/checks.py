@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import math
+import re
+import sys
 from collections.abc import Mapping, Sequence
 from copy import deepcopy
 from dataclasses import astuple, replace
@@ -148,7 +150,7 @@ class Functions:
         returned = self._returned(name, arguments)
         if json.dumps(self._course, default=str) != self._text:
             raise self.wrong(name, "changes the course that it is given; only advance does, by returning another")
-        if name != "info" and repr(self._returned(name, same)) != repr(returned):  # in which nothing is flown by
+        if name != "info" and _text(self._returned(name, same)) != _text(returned):  # in which nothing is flown by
             what = "called again with the same, returns something else; draw numbers from the generator of sample alone"
             raise self.wrong(name, what)
         return returned
@@ -173,6 +175,12 @@ class Functions:
         return UserError(f"{place}{type(self._task).__name__}.{name.removeprefix('lane_')}: {what}")
 
 
+def _text(returned: object) -> str:
+    """Return the whole text of an object, without the places in memory of those that have no text of their own."""
+    with np.printoptions(threshold=sys.maxsize):
+        return re.sub(r" at 0x\w+", "", repr(returned))
+
+
 def check_functions(task: Task) -> None:
     """Call each function of a task at the start of a game. Raises UserError for one that fails or returns nonsense."""
     call, kind = Functions(task), type(task)
@@ -194,8 +202,7 @@ def check_functions(task: Task) -> None:
     _check_conditions(call)
     call("lane_layout", course)
     state = replace(AT_REST, position_m=(0.0, 0.0, -task.altitude_m))
-    _check_features(task, call, state, course)
-    _check_mirror(call, actions)
+    _check_mirror(call, actions, _check_features(task, call, state, course))
     actions.seed(0)
     action = actions.sample()
     goal = call("goal", action.astype(np.float64) if isinstance(actions, spaces.Box) else action)
@@ -237,9 +244,10 @@ def _check_info(task: Task, call: Functions, now: Moment) -> None:
             raise call.wrong("info", f"{name!r} is {info[name]!r}: must be {what} number, or name yours otherwise")
 
 
-def _check_features(task: Task, call: Functions, state: Kinematics, course: Mapping[str, Any]) -> None:
+def _check_features(task: Task, call: Functions, state: Kinematics, course: Mapping[str, Any]) -> int | None:
+    """Return how many fields a frame has in a row; None if they are not observed."""
     if task.observation != "state" and not task.also_state:
-        return
+        return None
     name = features_name(task)
     with np.errstate(over="ignore"):
         numbers = as_frame(task, call(name, state, course), name)
@@ -250,13 +258,17 @@ def _check_features(task: Task, call: Functions, state: Kinematics, course: Mapp
     seen = np.concatenate([task.features(state, course)] * task.frames_per_command * task.history).shape
     if task.observation == "state" and space.shape != seen:
         raise call.wrong(name, f"observations are of shape {seen}, in observation_space of {space.shape}")
+    return numbers.shape[-1] if numbers.ndim else None
 
 
-def _check_mirror(call: Functions, actions: spaces.Space[Any]) -> None:
+def _check_mirror(call: Functions, actions: spaces.Space[Any], fields: int | None) -> None:
     if (mirror := call("mirrored")) is None or not isinstance(actions, spaces.Box):
         return
     try:
-        Mirror(*mirror).check(call("observation_space"), actions.shape[0])
+        mirror = Mirror(*mirror)
+        mirror.check(call("observation_space"), actions.shape[0])
+        if fields is not None and len(mirror.fields) != fields:
+            raise ValueError(f"fields = {list(mirror.fields)}: must be all {fields} places")
     except (TypeError, ValueError) as error:
         raise call.wrong("mirrored", f"must return a Mirror of envs.task or None: {error}") from error
 

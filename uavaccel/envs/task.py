@@ -10,6 +10,7 @@ import math
 import operator
 from collections.abc import Mapping, Sequence
 from functools import lru_cache, reduce
+from numbers import Integral
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, NamedTuple, Self, TypeAlias
 
 import numpy as np
@@ -99,7 +100,8 @@ class Mirror(NamedTuple):
         fits = {"fields": not any(width % count if count else width for width in widths)}
         fits["action"] = len(self.action) == actions
         for name, places in self._asdict().items():
-            if not fits[name] or sorted(map(abs, places)) != list(range(1, len(places) + 1)):
+            whole = all(isinstance(place, Integral) for place in places)
+            if not (fits[name] and whole and sorted(map(abs, places)) == list(range(1, len(places) + 1))):
                 raise ValueError(f"{name} = {list(places)}: must be all places, each once, from 1 on and with its sign")
 
 
@@ -252,8 +254,9 @@ class Task(Config):
     @classmethod
     def __pydantic_init_subclass__(cls, **keys: Any) -> None:
         super().__pydantic_init_subclass__(**keys)
-        functions = {name for name in vars(Task) if not name.startswith(("_", "model_"))}
-        if "mirrored" not in vars(cls) and functions & vars(cls).keys():
+        owner = next(base for base in cls.__mro__ if "mirrored" in vars(base))
+        replaced = {name for base in cls.__mro__[: cls.__mro__.index(owner)] for name in vars(base)}
+        if any(hasattr(owner, name) for name in replaced if not name.startswith(("_", "model_"))):
             cls.mirrored = Task.mirrored  # type: ignore[method-assign]
 
     # --- senses -----------------------------------------------------------------------------------

@@ -152,7 +152,7 @@ def _still_flying_at_exit() -> Iterator[None]:
             act()
         except (FlightOver, KeyboardInterrupt):
             pass
-        except Exception as error:
+        except (Exception, SystemExit) as error:
             error.__traceback__ = error.__traceback__ and error.__traceback__.tb_next  # without this frame
             print(f"Exception ignored in atexit callback: {act.func!r}", file=sys.stderr)
             traceback.print_exception(error)
@@ -186,12 +186,15 @@ def _run(code: CodeType, path: Path, arguments: tuple[str, ...]) -> tuple[int, s
 
 
 def _let_go() -> None:
-    """Destroy what the script holds, as Python does at its end, if any of it has a destructor."""
-    modules = [vars(module) for module in list(sys.modules.values()) if isinstance(module, ModuleType)]
-    own = [namespace for namespace in modules if of_a_script(namespace)]
+    """Destroy what the script and its modules hold, as Python does at its end, if any of it has a destructor."""
+    loaded = {name: vars(module) for name, module in [*sys.modules.items()] if isinstance(module, ModuleType)}
+    own = {name: namespace for name, namespace in loaded.items() if of_a_script(namespace)}
+    has_destructors = any(map(_has_destructors, own.values()))
+    for name in own if has_destructors else ():
+        del sys.modules[name]
     sys.modules["__main__"] = ModuleType("__main__")
-    if any(map(_has_destructors, own)):
-        del modules, own
+    if has_destructors:
+        del loaded, own
         gc.collect()
 
 

@@ -98,6 +98,7 @@ class SimulatedFlight:
 
         self._turns.before_passing = let_go
         world = ScriptWorld(self._options, self._settings or Settings(), self._clock_speed, self._clock)
+        self._turns.flown_ns = lambda: world.simulation.time_ns
         self._made_s += (machine.now_ns() - begun_ns) / NS_PER_S
         return world
 

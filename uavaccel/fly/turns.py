@@ -67,7 +67,8 @@ class Turns:
         self.running: list[Thread] = []
         self.before_passing: Callable[[], None] = lambda: None  # called by a thread that lets another one run
         self.simulated = True  # no longer so in a forked process
-        self._passed, self._is_watched = 0, False
+        self.flown_ns: Callable[[], int] = lambda: 0  # simulated time, which one sleep or call may take long to fly
+        self._acts, self._is_watched = 0, False
 
     def now_ns(self) -> int:
         return self._clock.now_ns()
@@ -82,6 +83,7 @@ class Turns:
 
     def check_thread(self) -> None:
         """Raise UserError in a thread that does not take turns."""
+        self._acts += 1
         if not self.is_mine():
             raise UserError(
                 "a library's thread calls the simulation; on a simulated clock the script's own may: --timing wall"
@@ -144,13 +146,14 @@ class Turns:
             threading.Thread(target=self._watch, name=BUSY, daemon=True).start()
 
     def _watch(self) -> None:
-        passed = -1
+        before = -1, -1
         while self.running and self.simulated:
-            if passed == self._passed and any(turn.wake_ns < self._limit_ns for turn in self._waiting):
+            now = self._acts, self.flown_ns()
+            if before == now and any(turn.wake_ns < self._limit_ns for turn in self._waiting):
                 said = f"the script has computed for {BUSY_S:g} s, and its other threads wait until it sleeps or calls"
                 print(f"uavaccel: warning: {said}; if it waits for them: --timing wall", file=sys.stderr, flush=True)
                 return
-            passed = self._passed
+            before = now
             threading.Event().wait(BUSY_S)
         self._is_watched = False
 
@@ -170,7 +173,7 @@ class Turns:
 
     def _following(self) -> Turn:
         """Take the next thread out of the queue, and advance the clock to its time."""
-        self._passed += 1
+        self._acts += 1
         while True:
             now_ns = self.now_ns()
             following = min(self._waiting, key=lambda turn: turn.due(now_ns))

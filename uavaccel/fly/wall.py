@@ -17,6 +17,7 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from functools import partial
 from pathlib import Path
+from weakref import WeakSet
 
 import numpy as np
 
@@ -118,13 +119,18 @@ class WallFlight:
             recorder = SocketConnection(LOOPBACK, port, ANSWER_S)
             recorder.call("startRecording")
 
+            connections, held = WeakSet[LoggedConnection](), list[LoggedConnection]()
+
             def connect(host: str, port_of_airsim: int, timeout_s: float) -> LoggedConnection:
-                return LoggedConnection(port, timeout_s, self._log, watch, self._over)
+                made = LoggedConnection(port, timeout_s, self._log, watch, self._over)
+                connections.add(made)
+                return made
 
             clock = {"time": counted_time_module(self._slept)}
             stack.enter_context(script_environment(connect, clock, options, port, self._log.abandon))
             stack.enter_context(stopping_after(options.until_s, self._clock_speed, self._over))
-            return run_script(options.script, options.arguments)
+            hold = partial(held.extend, connections)  # open for destructors, before which they would be collected
+            return run_script(options.script, options.arguments, hold)
 
     def _slept(self, seconds: float) -> None:
         if self._over.is_set():

@@ -267,9 +267,8 @@ class PolicyFolder(Origin):
         trained: Task = self._trained.task
         if not (isinstance(task, LaneTask) and isinstance(trained, LaneTask)):
             if _of(task) != _of(trained):
-                here, there = task.model_dump(mode="json"), trained.model_dump(mode="json")
-                keys = [key for key in self.keys() if here.keys() == there.keys() and here[key] != there[key]]
-                other = (f"{key} = {there[key]!r}, not {here[key]!r}" for key in keys)
+                there = trained.model_dump(mode="json")
+                other = (f"{key} = {there[key]!r}, not {here!r}" for key, here in _seen_otherwise(trained, task))
                 what = ", ".join(other) or "omit what they follow from"
                 raise UserError(f"task: {self.name} was trained with other observations or actions: {what}")
             return
@@ -290,6 +289,14 @@ class PolicyFolder(Origin):
 def _of(task: Task) -> tuple[object, ...]:
     """Return what a policy sees and does: depth and events are pictures of one form."""
     return task.observation_space(), task.observation, task.action
+
+
+def _seen_otherwise(trained: Task, task: Task) -> Iterator[tuple[str, Any]]:
+    """Yield the keys that alone make `trained` see or do something else, with what they are in `task`."""
+    here, there = task.model_dump(mode="json"), trained.model_dump(mode="json")
+    for key in there if here.keys() == there.keys() else ():
+        if here[key] != there[key] and _of(trained.model_copy(update={key: getattr(task, key)})) != _of(trained):
+            yield key, here[key]
 
 
 def kept_keys(env_id: str, trained: Mapping[str, Any]) -> dict[str, Any]:

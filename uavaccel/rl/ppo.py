@@ -246,8 +246,9 @@ class PPO:
     def _turn_of(self, mirror: Mirror) -> Turn:
         space = self.env.single_observation_space
         try:
+            mirror = Mirror(*mirror)
             mirror.check(space, self.env.single_action_space.shape[0])
-        except ValueError as error:
+        except (TypeError, ValueError) as error:
             raise UserError(f"mirrored: {error}") from error
         return Turn(mirror, boxes_of(space), self.device)
 
