@@ -3,6 +3,7 @@
 from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -65,7 +66,7 @@ def test_counts_are_numpys_floor_division_next_to_whole_thresholds(cutoff_hz: fl
     positive, negative = sensor.positive_threshold, sensor.negative_threshold
     log = rng.integers(0, 40, SHAPE).astype(positive.dtype) * positive
     log = np.nextafter(log, np.where(rng.random(SHAPE) < 0.5, np.inf, -np.inf).astype(log.dtype))
-    count = kernels.count_double_pixel if cutoff_hz else kernels.count_single_pixel
+    count: Any = kernels.count_double_pixel if cutoff_hz else kernels.count_single_pixel
     counts = [
         count(*pixel) for pixel in zip(log.flat, np.zeros_like(log).flat, positive.flat, negative.flat, strict=True)
     ]
