@@ -220,7 +220,8 @@ def test_bytes_and_lists_become_arrays_that_can_be_written_to(monkeypatch: pytes
         found[0] = 7
     response = airsim.ImageResponse(image_data_float=[*range(6)], width=3, height=2)
     assert airsim.get_pfm_array(response).tolist() == [[0, 1, 2], [3, 4, 5]]
-    assert set(airsim.to_dict(airsim.YawMode())) == {"is_rate", "yaw_or_rate"}
+    assert airsim.to_dict(airsim.YawMode()) == {"is_rate": True, "yaw_or_rate": 0.0}
+    assert airsim.to_dict(type("Mine", (), {"seen": 1, "_own": 2, "ask": len})()) == {"seen": 1}
     monkeypatch.setattr("sys.stdin", io.StringIO("y"))
     assert (airsim.wait_key(), airsim.wait_key()) == ("y", None), "a key without a terminal is the next character"
 

@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 
 from tests.airsim_wire import AirSimWire
 from tests.clutter import clutter
 from tests.flying import point, pose
+from tests.scenes import Pose
 from uavaccel.resources import asset
 from uavaccel.sim import scene
 from uavaccel.sim.objects import SceneObjects, cast, matching
@@ -143,6 +147,44 @@ def test_what_is_moved_and_scaled_is_as_if_it_had_been_made_there(
     np.testing.assert_allclose(hits.distance_m, expected.distance_m, atol=1e-9)
     with pytest.raises(ValueError, match=r"^the scale of a capsule must be the same along x, y and z"):
         objects.set_scale("capsule_1", (1.0, 1.0, 2.0))
+
+
+def test_a_detection_is_where_the_object_is_for_the_camera(wire: AirSimWire) -> None:
+    """A turned box before a turned camera of a turned vehicle; its pixels are those of a pinhole."""
+    random, clipped = np.random.default_rng(0), 0
+    signs, size = np.array([*itertools.product([-0.5, 0.5], repeat=3)]), np.array([256.0, 144.0])
+    home = wire.call("getHomeGeoPoint", "")
+    degrees_m = np.radians(6378137.0) * np.array([1.0, np.cos(np.radians(home["latitude"]))])
+    wire.call("simAddDetectionFilterMeshName", "0", 0, "hut*", "", False)
+    for _ in range(12):
+        vehicle, mounted, box = (tuple(random.uniform(-most, most, 3).tolist()) for most in (40.0, 90.0, 180.0))
+        wire.move(Pose((30.0, 30.0, -60.0), vehicle))
+        wire.call("simSetCameraPose", "0", Pose((0.5, 0.1, -0.2), mounted).message(), "")
+        eye_m, axes = of_message(wire.call("simGetCameraInfo", "0", "", False)["pose"])
+        sides_m, ahead_m = random.uniform(1.0, 4.0, 3), np.array([random.uniform(5.5, 9.0), *random.uniform(-4, 4, 2)])
+        there = Pose(tuple((eye_m + axes @ ahead_m).tolist()), box)
+        wire.call("simSpawnObject", "hut", "Cube", there.message(), point(*sides_m), False, False)
+        (told,) = wire.call("simGetDetections", "0", 0, "", False)
+        corners = ahead_m + (signs * sides_m) @ there.matrix().T @ axes
+        pixels = size / 2 + size[0] / 2 * corners[:, 1:] / corners[:, :1]
+        ends = {"box3D": (corners.min(0), corners.max(0)), "box2D": np.clip([pixels.min(0), pixels.max(0)], 0, size)}
+        for kind, expected in ends.items():
+            found = [[*told[kind][end].values()] for end in ("min", "max")]
+            np.testing.assert_allclose(found, expected, atol=1e-3)
+        clipped += bool((pixels.min(0) < 0).any() or (pixels.max(0) > size).any())
+        for seen, expected in zip(of_message(told["relative_pose"]), (ahead_m, axes.T @ there.matrix()), strict=True):
+            np.testing.assert_allclose(seen, expected, atol=1e-4)
+        *plane, height_m = np.subtract([*told["geo_point"].values()], [*home.values()])
+        np.testing.assert_allclose([*(plane * degrees_m), -height_m], there.position_m, atol=0.01)
+        assert wire.call("simDestroyObject", told["name"])
+    assert 0 < clipped < 12
+
+
+def of_message(told: Any) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Place and matrix of a pose as it is sent."""
+    turn = np.zeros(9)
+    mujoco.mju_quat2Mat(turn, np.array([*told["orientation"].values()]))
+    return np.array([*told["position"].values()]), turn.reshape(3, 3)
 
 
 @pytest.mark.opengl

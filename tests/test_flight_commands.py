@@ -16,6 +16,7 @@ from uavaccel.sim.flight import FollowPath, Land, RotateToYaw, check_lookahead, 
 from uavaccel.sim.profile import AIRSIM, NATIVE, Profile
 from uavaccel.sim.simulation import Simulation
 from uavaccel.sim.vehicle import autopilot
+from uavaccel.wire.flight_api import rc_data_map, sticks
 
 PROFILES = pytest.mark.parametrize("profile", [NATIVE, AIRSIM], ids=["native", "airsim"])
 AUTO, ADAPTIVE = -1.0, 1.0
@@ -193,9 +194,17 @@ def test_a_turn_arrives_within_its_margin_and_at_rest(
 
 
 def test_sticks_are_goals_where_no_program_has_control() -> None:
-    """By angles of up to pi / 5.5 or, with the switch, by rates as large; a throttle below idle idles."""
-    for switches, mode in ((0, autopilot.TILT), (1, autopilot.TILT_RATE)):
-        goal = stick_goal(np.array([0.5, 0.25, 0.0, -0.5, switches, 1.0]))
+    """By angles of up to pi / 5.5 or, with the first switch, by rates as large; a throttle below idle idles."""
+    for switches, mode in (
+        (0, autopilot.TILT),
+        (1, autopilot.TILT_RATE),
+        (6, autopilot.TILT),
+        (7, autopilot.TILT_RATE),
+    ):
+        sent = {"roll": 0.5, "pitch": 0.25, "throttle": 0.0, "yaw": -0.5, "switches": switches, "is_valid": True}
+        told = rc_data_map(moved := sticks(sent, "rcdata"))
+        assert {name: told[name] for name in sent} == {**sent, "switches": switches % 2}
+        goal = stick_goal(moved)
         tilts = (0.5 * math.pi / 5.5, -0.25 * math.pi / 5.5)
         assert goal.values == pytest.approx((*tilts, 0.1 / 1.5, -0.5 * math.pi))
         assert (goal.xy_mode, goal.z_mode, goal.yaw_mode) == (mode, autopilot.THROTTLE, autopilot.RATE)

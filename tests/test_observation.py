@@ -130,7 +130,7 @@ AHEAD = np.array([1.0, 0.1, 0.0], np.float32)
 
 
 @needs_opengl
-def test_pictures_and_state_are_those_of_either_alone() -> None:
+def test_pictures_and_state_are_those_of_either_alone(monkeypatch: pytest.MonkeyPatch) -> None:
     kinds: tuple[dict[str, Any], ...] = ({"also_state": True}, {}, {"observation": "state"})
     both, pictures, state = (Navigate(**SMALL, **keys) for keys in kinds)
     space = both.observation_space
@@ -145,6 +145,12 @@ def test_pictures_and_state_are_those_of_either_alone() -> None:
         again = other.set_state(both.get_state())
         for name, part in seen[0].items():
             np.testing.assert_array_equal(again[name], part, err_msg=name)
+    for told, said in ((seen[0]["state"] * np.nan, "is not finite"), (np.zeros(2), r"returned the shape \(2,\)")):
+        both.reset()
+        monkeypatch.setattr(type(both.task), "features", lambda *_, told=told: told)
+        with pytest.raises(UserError, match=rf"NavigateTask\.features: .*{said}"):
+            both.step(AHEAD)
+        monkeypatch.undo()
     for each in (both, pictures, state):
         each.close()
 

@@ -349,7 +349,7 @@ def test_a_batch_of_tensors_teaches_what_the_host_does(clock: dict[str, Any]) ->
     from uavaccel.envs.cuda_batch import CudaBatch
     from uavaccel.envs.kernel_batch import KernelBatch
 
-    task = {"max_commands": 6, **clock}
+    task = {"max_commands": 6, "altitude_m": 0.5, **clock}
     config = hover(games=100, task=task)
     keys: dict[str, Any] = {**task, "autoreset_mode": "SameStep"}
     made: list[Any] = []
@@ -358,6 +358,7 @@ def test_a_batch_of_tensors_teaches_what_the_host_does(clock: dict[str, Any]) ->
         made.append(PPOTraining(config, kind(Hover, 2, **keys)))
         told.append([game for _ in range(3) for game in made[-1].advance()])
     assert len(told[0]) >= 6
+    assert {game.info["collision"] for game in told[0]} == {None, "ground"}
     for ours, theirs in zip(*told, strict=True):
         assert (ours.number, ours.lane) == (theirs.number, theirs.lane)
         assert ours.reward == pytest.approx(theirs.reward, abs=1e-4)

@@ -260,7 +260,7 @@ def test_what_was_measured_is_replayed_as_a_distribution(tmp_path: Path) -> None
     [
         *((text, "neither JSON nor YAML: ") for text in ("[1", "latency: 2024-13-45", "[" * 9_999)),
         ("latency: ü", "not UTF-8 text$"),
-        ("[1, 2]", "latency must be a mapping; 'measured' and its save"),
+        *((text, "latency must be a mapping; 'measured' and its save") for text in ("[1, 2]", "lag: 1")),
         ("latency: {request_us: 7}", "request_us must be a mapping"),
         ("latency: {name: none}", "latency.request_us.call: needs microseconds at the quantiles"),
         ("latency: {quantiles: [0, 1], request_us: {call: [1, 9e12]}}", "latency.request_us.call: .* up to 3600 s"),

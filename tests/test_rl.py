@@ -72,6 +72,10 @@ def test_interrupted_and_moved_it_ends_with_equal_bytes(tmp_path: Path, whole: R
         for name in (row["arrays"], *(f"{folder}/{part}" for part in PARTS)):
             assert (moved / name).read_bytes() == (whole.path / name).read_bytes()
     assert not [*moved.glob("parts/*/training/checkpoints"), *moved.glob("parts/**/*.png")]
+    starts = [RunDirectory(path.parent).manifest() for path in moved.glob("parts/**/manifest.json")]
+    again = [start for first in starts for start in first.get("resumed", [])]
+    assert again, "a part that was stopped"
+    assert not any("resumed" in start for start in again), "none has the starts of the whole for its own"
 
 
 @pytest.mark.slow

@@ -60,6 +60,10 @@ def test_a_seeds_run_is_that_of_a_training_with_this_seed_alone(
     longer = TRAINING.model_copy(update={"games": 6})
     assert run_into(run, Seeds(), over(3, longer), resume=True)["training_games"] == 6
     assert [len(part_run(RunDirectory(run), f"seed{seed}").rows()) for seed in (7, 8, 9)] == [6, 6, 6]
+    (run / "parts/seed8/timing.jsonl").unlink()
+    drawn.clear()
+    assert [*Seeds().page(Seeds().report(RunDirectory(run)))]
+    assert [*drawn] == ["learning_games"], "not those alone of which the time is known"
 
 
 def test_an_interval_of_evaluations_covers_the_lanes(tmp_path: Path) -> None:

@@ -410,7 +410,9 @@ def test_a_foreign_page_gets_nothing_and_a_deaf_one_is_dropped(monkeypatch: pyte
             *("Sec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==", f"Sec-WebSocket-Protocol: viser-v{viser.__version__}"),
         )
         with urlopen(f"http://127.0.0.1:{port}/") as answer:
-            assert b"<title>What flies \xe2\x80\x93 uavaccel</title><style>" in answer.read()
+            document = answer.read()
+            assert answer.headers.get_all("Content-Length") == [str(len(document))]
+        assert b"<title>What flies \xe2\x80\x93 uavaccel</title><style>" in document
         for more in ((), socket_of):
             for host in ("", "example.org"):
                 connection, status = asked(port, "Origin: http://example.org", *more, host=host)

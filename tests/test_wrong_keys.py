@@ -84,7 +84,7 @@ BATCHES: Table = [
     ({"autoreset_mode": "x"}, "autoreset_mode = 'x' is unknown; there are NextStep, SameStep"),
     ({"autoreset_mode": "x", "simulator": "kernels"}, "autoreset_mode = 'x' is unknown"),
     ({"render_mode": "x"}, "render_mode = 'x' is unknown; there are None, rgb_array"),
-    ({"timing": "wall"}, "a batch flies in virtual or lockstep"),
+    ({"timing": "wall", "processes": 1}, "a batch flies in virtual or lockstep"),
     ({"speed": 3.0}, "speed"),
     ({"simulator": "kernel"}, "simulator = 'kernel' is unknown; there are mujoco, kernels"),
     ({"simulator": "kernels", "device": "gpu"}, "device = 'gpu' is unknown; there are cpu, cuda"),
