@@ -8,7 +8,7 @@ import io
 import os
 import sys
 import traceback
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
@@ -129,8 +129,7 @@ def _still_flying_at_exit() -> Iterator[None]:
     All of that may still fly.
     """
     register, unregister = atexit.register, atexit.unregister
-    last: Callable[[], object] = _let_go
-    acts = [partial(last)]
+    acts = [partial[object](_let_go, frozenset(sys.modules) - {"__main__"})]
 
     def register_for(function: Callable[..., object], /, *given: object, **named: object) -> Callable[..., object]:
         if not called_by_a_script(()):
@@ -185,16 +184,20 @@ def _run(code: CodeType, path: Path, arguments: tuple[str, ...]) -> tuple[int, s
     return 0, None
 
 
-def _let_go() -> None:
-    """Destroy what the script and its modules hold, as Python does at its end, if any of it has a destructor."""
-    loaded = {name: vars(module) for name, module in [*sys.modules.items()] if isinstance(module, ModuleType)}
+def _let_go(before: Collection[str]) -> None:
+    """Destroy what the script and its modules hold, as Python does at its end, if any of it has a destructor.
+
+    The modules `before` it are not its own.
+    """
+    modules = {name: module for name, module in sys.modules.items() if name not in before}
+    loaded = {name: vars(module) for name, module in modules.items() if isinstance(module, ModuleType)}
     own = {name: namespace for name, namespace in loaded.items() if of_a_script(namespace)}
     has_destructors = any(map(_has_destructors, own.values()))
     for name in own if has_destructors else ():
         del sys.modules[name]
     sys.modules["__main__"] = ModuleType("__main__")
     if has_destructors:
-        del loaded, own
+        del modules, loaded, own
         gc.collect()
 
 
