@@ -129,7 +129,8 @@ def _still_flying_at_exit() -> Iterator[None]:
     All of that may still fly.
     """
     register, unregister = atexit.register, atexit.unregister
-    acts = [partial[object](_let_go, frozenset(sys.modules) - {"__main__"})]
+    last: Callable[..., object] = _let_go
+    acts = [partial(last, frozenset(sys.modules) - {"__main__"})]
 
     def register_for(function: Callable[..., object], /, *given: object, **named: object) -> Callable[..., object]:
         if not called_by_a_script(()):
