@@ -6,6 +6,7 @@ OpenGL is not used before a context is requested, so that everything without ima
 from __future__ import annotations
 
 import importlib
+import logging
 import os
 import subprocess
 import sys
@@ -64,6 +65,7 @@ def make_context(width: int, height: int) -> tuple[mujoco.GLContext, GlRenderer]
     global _drawn, _found
     check_process()
     backend = choose_backend()
+    logging.getLogger("OpenGL").setLevel(logging.WARNING)  # a script's log is not for what PyOpenGL could do with
     try:
         module = f"mujoco.{backend}" if backend in HEADLESS else "mujoco.rendering.classic.gl_context"
         with _driver:
