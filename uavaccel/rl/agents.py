@@ -267,8 +267,7 @@ class PolicyFolder(Origin):
         trained: Task = self._trained.task
         if not (isinstance(task, LaneTask) and isinstance(trained, LaneTask)):
             if _of(task) != _of(trained):
-                there = trained.model_dump(mode="json")
-                other = (f"{key} = {there[key]!r}, not {here!r}" for key, here in _seen_otherwise(trained, task))
+                other = (f"{key} = {there!r}, not {here!r}" for key, there, here in _seen_otherwise(trained, task))
                 what = ", ".join(other) or "omit what they follow from"
                 raise UserError(f"task: {self.name} was trained with other observations or actions: {what}")
             return
@@ -291,12 +290,12 @@ def _of(task: Task) -> tuple[object, ...]:
     return task.observation_space(), task.observation, task.action
 
 
-def _seen_otherwise(trained: Task, task: Task) -> Iterator[tuple[str, Any]]:
-    """Yield the keys that alone make `trained` see or do something else, with what they are in `task`."""
+def _seen_otherwise(trained: Task, task: Task) -> Iterator[tuple[str, Any, Any]]:
+    """Yield the keys that alone make `trained` see or do something else, with what they are in it and in `task`."""
     here, there = task.model_dump(mode="json"), trained.model_dump(mode="json")
     for key in there if here.keys() == there.keys() else ():
         if here[key] != there[key] and _of(trained.model_copy(update={key: getattr(task, key)})) != _of(trained):
-            yield key, here[key]
+            yield key, there[key], here[key]
 
 
 def kept_keys(env_id: str, trained: Mapping[str, Any]) -> dict[str, Any]:
@@ -391,20 +390,16 @@ def block_side(task: Task) -> int:
 
 def _whole(task: Task, observations: Any) -> dict[str, NDArray[Any]]:
     """Return the inputs of an exported file, whole pictures, that it reduces to `observations`."""
-    if task.also_state:
-        return {**_whole_pictures(task, observations["image"]), "state": observations["state"]}
-    return _whole_pictures(task, observations)
-
-
-def _whole_pictures(task: Task, frames: NDArray[Any]) -> dict[str, NDArray[Any]]:
     (planes, told), side = _planes(task), block_side(task)
+    frames = observations["image"] if task.also_state else observations
     levels: NDArray[Any] = frames[:, :planes].astype(np.float32)
     if task.observation == "dvs":
         levels = (levels - NEUTRAL_LEVEL) / side**2
     elif task.observation == "depth":
         levels = levels * (DEPTH_FAR_M / 255)
     seen = levels.repeat(side, axis=2).repeat(side, axis=3)
-    return {"seen": seen, "told": frames[:, planes:].astype(np.float32)} if told else {"seen": seen}
+    context = {"told": frames[:, planes:].astype(np.float32)} if told else {}
+    return {"seen": seen, **context, **({"state": observations["state"]} if task.also_state else {})}
 
 
 def metadata_of(env_id: str, task: Task) -> dict[str, str]:

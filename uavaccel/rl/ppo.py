@@ -125,7 +125,7 @@ class Turn:
         self._fields, self._action = (th.tensor(places, device=device) for places in mirror)
 
     def seen(self, name: str, part: th.Tensor, in_blocks: bool) -> th.Tensor:
-        """Return a part (n, ...) of observations as the network takes it."""
+        """Return a part (n, ...) of observations, in the form in which the network takes it, turned."""
         if name not in self._columns:
             return _placed(part.unflatten(-1, (-1, len(self._fields))), self._fields).flatten(-2)
         if not in_blocks:
@@ -134,7 +134,7 @@ class Turn:
         return blocks(pictures[..., : self._columns[name]].flip(3))
 
     def action(self, action: th.Tensor) -> th.Tensor:
-        """Return actions (n, actions)."""
+        """Return actions (n, actions), turned."""
         return _placed(action, self._action)
 
 
