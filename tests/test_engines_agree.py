@@ -544,9 +544,31 @@ OTHER_NOISE: Keys = {
 }
 """Cameras are quiet in one game, and noisy in the next and in that beside it; lanes fly on while one renders."""
 
+TWO_SAMPLES_OF_ONE_TICK: Keys = {
+    "command": "adsc",
+    "profile": "native",
+    "clock_speed": 7.5,
+    "timing": "virtual",
+    "latency": {
+        "request_us": {"call": [40.0, 40.0]},
+        "reply_us": {"call": [40.0, 40.0]},
+        "quantiles": [0.0, 1.0],
+        "issue_us": [1.0, 1.0],
+        "timer_us": [1.0, 1.0],
+        "platform": {"stall_us": 40000.0, "frames": {"hz": 60.0, "stale_pose": True}},
+    },
+    "image_processing_s": 0.0,
+    "dvs_rate_hz": 250.0 / 3.0,
+    "t_move_s": 0.24,
+    "t_sample_s": 0.12,
+    "max_commands": 2,
+}
+"""A stall puts both samples of a command on a tick of the event camera's; the second sees its frame all the same."""
+
 
 @pytest.mark.slow
 @settings(FIXTURES, max_examples=6)
+@example(Case(ObstacleLane, TWO_SAMPLES_OF_ONE_TICK, seed=0, commands=5, noise=0.5, work_s=0.0))
 @example(Case(ObstacleLane, HIT_BETWEEN_FRAMES, seed=0, commands=5, noise=0.0, work_s=0.0))
 @example(Case(ObstacleLane, OTHER_LIGHT, seed=0, commands=5, noise=0.5, work_s=0.0))
 @example(Case(ObstacleLane, STANDS_BETWEEN_FRAMES, seed=0, commands=3, noise=0.0, work_s=0.0))

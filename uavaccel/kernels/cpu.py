@@ -353,7 +353,7 @@ def fly_command(lane: int, goals: Operand, work: Work, frames: Operand, samples:
     view, games, now, plan, clocks = work.cameras, work.games, work.now, work.plan, work.clocks
     row, scale, timing = clocks.row[lane], clocks.scale[lane], plan.timing
     before, body = now.state[lane : lane + 1].copy(), now.body[lane : lane + 1].copy()
-    tick = timeline.issue(row, scale, timing)
+    taken, tick = before[0].tick, timeline.issue(row, scale, timing)
     fly_to(lane, tick, work)
     if not np.isnan(plan.start_speed):
         resume(lane, 0, before, body, plan.start_speed, games, now)
@@ -368,7 +368,8 @@ def fly_command(lane: int, goals: Operand, work: Work, frames: Operand, samples:
             now.state[lane].hover_tick = tick + plan.hold_ticks
             acts_ns = timeline.NEVER
         tick = timeline.reach(row, scale, timing, sample)
-        seen = fly_to(lane, tick, work)
+        seen = fly_to(lane, tick, work) and tick > taken  # a second sample of one tick sees a frame of its own
+        taken = tick
         take_state(lane, now, samples[lane, sample])
         hit, suspect = touched(lane, now), False
         if not hit:
