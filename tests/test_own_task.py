@@ -190,9 +190,10 @@ def test_a_file_that_imports_relatively_is_a_part_of_its_package(here: Path) -> 
         with reading(RunRequest(name)) as (_, config):
             assert (config.env_id, config.task.near_m) == ("tasks/race/fast.py:Fast", 3.0)
     (here / "there").mkdir()
-    (here / "there/own.yaml").write_text(f"suite: train\ntask: {here}/tasks/race/fast.py\n")
-    with reading(RunRequest("there/own.yaml")) as (_, config):
-        assert (config.env_id, config.task.near_m) == (f"{here}/tasks/race/fast.py:Fast", 3.0)
+    for name in (f"{here}/tasks/race/fast.py", "../tasks/race/fast.py"):
+        (here / "there/own.yaml").write_text(f"suite: train\ntask: {name}\n")
+        with reading(RunRequest("there/own.yaml")) as (_, config):
+            assert (config.env_id, config.task.near_m) == (f"{name}:Fast", 3.0)
 
 
 def test_code_that_nobody_trusts_does_not_run(here: Path, said: Callable[[str], str]) -> None:
