@@ -34,9 +34,13 @@ def test_flies_and_reads_the_state_as_airsims_types(client: airsim.MultirotorCli
     client.reset()
     client.enableApiControl(True)
     future = client.moveByVelocityAsync(np.float32(2), 0, 0, 2)  # type: ignore[arg-type]
+    told: list[Any] = []
+    future.attach_callback(told.append)
+    future.attach_result_handler(told.append)
     future.join()
     assert future.result is True
     assert future.error is None
+    assert (future.get(), told) == (None, [future, True])  # a handler takes what get would return
     state = client.getMultirotorState()
     assert isinstance(state, airsim.MultirotorState)
     assert isinstance(state.kinematics_estimated.position, airsim.Vector3r)
@@ -57,6 +61,9 @@ def test_an_error_is_raised_by_get_and_told_once_by_join(
     assert capsys.readouterr().err.count("moveNowhere failed") == 1
     with pytest.raises(RpcError, match="moveNowhere"):
         future.get()
+    told: list[str] = []
+    future.attach_error_handler(told.append)
+    assert (future.get(), told) == (None, [future.error])
     with pytest.raises(RpcError, match="could not find function 'nothing'"):
         client.client.call("nothing")
     for count in ({3}, frozenset({3}), range(3, 4), iter([3])):

@@ -300,7 +300,7 @@ def test_what_has_no_effect_and_what_is_refused_is_said_once(server: str) -> Non
         with pytest.raises(rpc.RpcError, match=f"{name} is not available: {status.removeprefix('refused: ')}"):
             wire.call(name, "")
     assert len(wire.said) == len(accepted) + len(refused)
-    assert wire.call("simLoadLevel", "blocks")
+    assert wire.call("simLoadLevel", "Blocks")
 
 
 def test_magnetometers_of_one_vehicle_have_biases_of_their_own() -> None:

@@ -659,7 +659,7 @@ def two_kinds(task: Any, action: Any) -> Any:
 )
 def test_what_cannot_be_computed_over_arrays_is_named(name: str, function: Any, said: str) -> None:
     task: Any = type("Mine", (Post.task_class,), {name: function, "__module__": __name__})
-    with pytest.raises(UserError, match=rf"Mine\.{name}.*{re.escape(said)}"):
+    with pytest.raises(UserError, match=rf"{re.escape(__file__)}: Mine\.{name}.*{re.escape(said)}"):
         fly_a_command(task)
 
 

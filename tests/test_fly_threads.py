@@ -25,19 +25,21 @@ import socketserver
 import subprocess
 import threading
 import time
+import traceback
 from collections.abc import Callable, Iterator
 from concurrent.futures import FIRST_COMPLETED, FIRST_EXCEPTION, ThreadPoolExecutor, as_completed
 from concurrent.futures import wait as wait_for_futures
 from functools import partial
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
 from uavaccel.clock import VirtualClock, time_module
-from uavaccel.errors import UserError
+from uavaccel.errors import UserError, naming
 from uavaccel.fly.modules import Patches
-from uavaccel.fly.script import FlightOver
+from uavaccel.fly.script import FlightOver, hide_frames_everywhere
 from uavaccel.fly.simulated import READING_NS
 from uavaccel.fly.threads import OutsideEvents, SharedModules, ThreadModules
 from uavaccel.fly.turns import Turns
@@ -583,13 +585,20 @@ def test_of_a_users_mistake_in_a_thread_only_its_line_is_shown(
     modules: Any = ThreadModules(Turns(VirtualClock())).threading
 
     def connects() -> None:
-        raise UserError("settings.json: Vehicles: none can fly")
+        with naming(Path("log")):
+            raise OSError(28, "No space left")
 
     thread = modules.Thread(target=connects, name="pilot")
     thread.start()
     thread.join()
-    line = "uavaccel.errors.UserError: settings.json: Vehicles: none can fly"
-    assert capfd.readouterr().err == f"Exception in thread pilot:\n{line}\n"
+    line = "uavaccel.errors.UserError: log: No space left; make room\n"
+    assert capfd.readouterr().err == f"Exception in thread pilot:\n{line}"
+    with Patches() as patches:
+        hide_frames_everywhere(patches)
+        try:
+            connects()
+        except UserError:
+            assert traceback.format_exc() == line
 
 
 # --- waits without an end ------------------------------------------------------------------------------------------

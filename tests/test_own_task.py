@@ -190,9 +190,10 @@ def test_a_file_that_imports_relatively_is_a_part_of_its_package(here: Path) -> 
         with reading(RunRequest(name)) as (_, config):
             assert (config.env_id, config.task.near_m) == ("tasks/race/fast.py:Fast", 3.0)
     (here / "there").mkdir()
-    (here / "there/own.yaml").write_text(f"suite: train\ntask: {here}/tasks/race/fast.py\n")
-    with reading(RunRequest("there/own.yaml")) as (_, config):
-        assert (config.env_id, config.task.near_m) == (f"{here}/tasks/race/fast.py:Fast", 3.0)
+    for name in (f"{here}/tasks/race/fast.py", "../tasks/race/fast.py"):
+        (here / "there/own.yaml").write_text(f"suite: train\ntask: {name}\n")
+        with reading(RunRequest("there/own.yaml")) as (_, config):
+            assert (config.env_id, config.task.near_m) == (f"{name}:Fast", 3.0)
 
 
 def test_code_that_nobody_trusts_does_not_run(here: Path, said: Callable[[str], str]) -> None:
@@ -260,6 +261,7 @@ MIRRORED = "action_space, mirrored = lambda self: Box(-1.0, 1.0, (3,)), lambda s
     ("def sample(self, random, options): return {'a': {1}}", "Post.sample: must return plain numbers"),
     ("def fields(self, state, course): return (each for each in [1])", "Post.fields: must return numbers, in lists of"),
     ("def fields(self, state, course): return []", "Post.fields: returned no numbers"),
+    ("def fields(self, state, course): return 1.0", "Post.fields: returned no list, but one number"),
     ("def fields(self, state, course): return [1e300]", "Post.fields: returned a number that is not finite: [inf]"),
     ("def reward(self, before, now): return __import__('numpy').ones(1)", "Post.reward: returned array("),
     ("def info(self, now): return {'commands': 'few'}", "Post.info: 'commands' is an item of all tasks"),
@@ -269,6 +271,8 @@ MIRRORED = "action_space, mirrored = lambda self: Box(-1.0, 1.0, (3,)), lambda s
      "Post.sample_conditions: 'wind' is 'strong': must be a finite number"),
     ("def sample_conditions(self, random, games): return {'wind': 1}\n    def with_conditions(self, conditions): pass",
      "Post.with_conditions: returned None: must be a task"),
+    ("def sample_conditions(self, random, games): return {'speed_m_s': 1}",
+     "Post.with_conditions: is missing: def with_conditions(self, conditions)"),
     ("def info(self, now): return {'lane': 'left'}", "Post.info: 'lane' is 'left': must be a whole number, or name"),
     ("def info(self, now): return {'distance_m': 0 * 1e400}", "Post.info: 'distance_m' is nan: must be a finite"),
     ("def action_space(self): return 4", "Post.action_space: must return a Discrete that begins with 0, or a Box"),
@@ -305,6 +309,8 @@ def test_a_function_with_a_mistake_is_named(function: str, line: str, here: Path
     ("reward(self, before, now): return 1 / (3 - now.commands)", "ZeroDivisionError: division by zero"),
     ("reward(self, before, now): return float('nan') ** (now.commands > 1)", "returned nan: must be a finite number"),
     ("fields(self, state, course): return [state.time_ns * 1e300 * 1e300]", "returned a number that is not"),
+    ("layout(self, course): return {'obstacles': [dict(x_m=9, y_m=0, radius_m=course['aim_m'][0])]}\n    scene='lane'",
+     "lane: obstacles.0.radius_m = -"),
 ])  # fmt: skip
 def test_a_mistake_in_flight_is_one_line(
     function: str, line: str, simulator: str, here: Path, said: Callable[[str], str], monkeypatch: pytest.MonkeyPatch

@@ -31,6 +31,8 @@ _trusted: list[tuple[Path | None, frozenset[str] | None]] = []
 """What the user has said so far: the folder beside the working directory, and the modules that may run; None: all."""
 RELATIVE = re.compile(rb"^[ \t]*from[ \t]+\.", re.MULTILINE)
 """Begins an import from the package that a file is in."""
+OUTSIDE = ("/", "../")
+"""Begin paths that lead out of the folders in which code is looked up."""
 
 _here: dict[Path, str] = {}
 """What was remembered in this process, which may be unable to write it down."""
@@ -68,9 +70,9 @@ def modules_in(value: object) -> set[str]:
 
 
 def module_of(place: str) -> str:
-    """Return the module in "module:name" or, by its path, in "folder/file.py:name"; a path from the root stays one."""
+    """Return the module in "module:name" or, by its path, in "folder/file.py:name"; one from outside stays."""
     file = place.partition(":")[0]
-    if not file.endswith(".py") or file.startswith(("/", "../")):
+    if not file.endswith(".py") or file.startswith(OUTSIDE):
         return file
     return file.removesuffix(".py").removeprefix("./").replace("/", ".")
 
@@ -245,14 +247,13 @@ def errors_named(files: Path | Sequence[Path] | None, where: str = "") -> Iterat
 
 def _found(name: str, where: str) -> tuple[Path, list[Path]]:
     """Return the folder in which a module is found, and the files that importing it runs, its own last."""
-    if name.startswith("/") and Path(name).is_file():
-        file = Path(name).resolve()
-        folder = imported_from(file)
-        if files := _files(folder, module_of(str(file.relative_to(folder)))):
-            return folder, files
     beside = (folder for folder, _ in reversed(_trusted) if folder is not None)
     folders = list(dict.fromkeys(folder.resolve() for folder in (*beside, Path.cwd())))
     for folder in folders:
+        if name.startswith(OUTSIDE) and (file := folder.joinpath(name).resolve()).is_file():
+            folder = imported_from(file)
+            if files := _files(folder, module_of(str(file.relative_to(folder)))):
+                return folder, files
         if files := _files(folder, name):
             return folder, files
     for noted in _noted:

@@ -17,7 +17,7 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from uavaccel.config import validate
-from uavaccel.envs.task import Mirror, Task, as_frame, told_of
+from uavaccel.envs.task import AnyLayout, Mirror, Task, as_frame, told_of
 from uavaccel.envs.values import AT_REST, CONDITIONS, Action, Actions, Course, Moment
 from uavaccel.errors import UserError
 from uavaccel.kinematics import FlightGoal, Kinematics
@@ -160,8 +160,7 @@ class Functions:
             with errors_named(self._files):
                 return getattr(self._task, name)(*arguments)
         except UserError as error:
-            named = str(error).startswith(tuple(map(str, self._files)))
-            raise error if named else self.wrong(name, str(error)) from error
+            raise self.named(name, error) from error
         except Exception as error:  # of the call itself, as for a wrong number of arguments
             raise self.wrong(name, f"{type(error).__name__}: {error}") from error
 
@@ -169,6 +168,10 @@ class Functions:
         if not isinstance(returned := self(name, *arguments), Mapping):
             raise self.wrong(name, f"returned {returned!r}: must be a mapping")
         return returned
+
+    def named(self, name: str, error: UserError) -> UserError:
+        named = str(error).startswith(tuple(map(str, self._files)))
+        return error if named else self.wrong(name, str(error))
 
     def wrong(self, name: str, what: str) -> UserError:
         place = f"{self._files[0]}: " if self._files else ""
@@ -179,6 +182,14 @@ def _text(returned: object) -> str:
     """Return the whole text of an object, without the places in memory of those that have no text of their own."""
     with np.printoptions(threshold=sys.maxsize):
         return re.sub(r" at 0x\w+", "", repr(returned))
+
+
+def layout_of(task: Task, course: Course) -> AnyLayout | None:
+    """Return the layout of a game. Raises UserError for a wrong one, which names the task's file."""
+    try:
+        return task.lane_layout(course)
+    except UserError as error:
+        raise Functions(task).named("lane_layout", error) from error
 
 
 def check_functions(task: Task) -> None:
@@ -199,7 +210,7 @@ def check_functions(task: Task) -> None:
         call.watch(course)
     except (TypeError, ValueError) as error:
         raise call.wrong("sample", f"must return plain numbers, and lists and mappings of them: {error}") from error
-    _check_conditions(call)
+    _check_conditions(kind, call)
     call("lane_layout", course)
     state = replace(AT_REST, position_m=(0.0, 0.0, -task.altitude_m))
     _check_mirror(call, actions, _check_features(task, call, state, course))
@@ -225,11 +236,14 @@ def check_functions(task: Task) -> None:
     _check_info(task, call, now)
 
 
-def _check_conditions(call: Functions) -> None:
+def _check_conditions(kind: type[Task], call: Functions) -> None:
     conditions = call.mapping("sample_conditions", np.random.default_rng(0), 0)
     for name, value in conditions.items():  # columns of a run's rows
         if isinstance(value, bool) or not isinstance(value, Real) or not math.isfinite(value):
             raise call.wrong("sample_conditions", f"{name!r} is {value!r}: must be a finite number")
+    if kind.with_conditions is Task.with_conditions and kind.sample_conditions is not Task.sample_conditions:
+        what = "is missing: def with_conditions(self, conditions), which returns the task under them"
+        raise call.wrong("with_conditions", what)
     if conditions and not isinstance(under := call("with_conditions", conditions), Task):
         raise call.wrong("with_conditions", f"returned {under!r}: must be a task, as self.model_copy(update=...) is")
 
@@ -251,14 +265,14 @@ def _check_features(task: Task, call: Functions, state: Kinematics, course: Mapp
     name = features_name(task)
     with np.errstate(over="ignore"):
         numbers = as_frame(task, call(name, state, course), name)
-    if not numbers.size:
-        raise call.wrong(name, "returned no numbers")
+    if not (numbers.ndim and numbers.size):
+        raise call.wrong(name, "returned no numbers" if numbers.ndim else "returned no list, but one number")
     check_features(task, numbers, numbers.shape)
     space = call("observation_space")
     seen = np.concatenate([task.features(state, course)] * task.frames_per_command * task.history).shape
     if task.observation == "state" and space.shape != seen:
         raise call.wrong(name, f"observations are of shape {seen}, in observation_space of {space.shape}")
-    return numbers.shape[-1] if numbers.ndim else None
+    return int(numbers.shape[-1])
 
 
 def _check_mirror(call: Functions, actions: spaces.Space[Any], fields: int | None) -> None:

@@ -17,7 +17,7 @@ from gymnasium.utils import seeding
 from numpy.typing import NDArray
 
 from uavaccel.envs.arrays import mapped
-from uavaccel.envs.checks import known_options
+from uavaccel.envs.checks import known_options, layout_of
 from uavaccel.envs.conditions import OF_SENSOR
 from uavaccel.envs.kernel_games import Drawn, GameMaker, keys_of
 from uavaccel.envs.navigate import NavigateTask
@@ -149,7 +149,7 @@ class Dealt(LaneGames):
             if option:
                 known = known_options(option, self.maker.task.reset_options)
                 course = self.maker.task.sample(np.random.default_rng(0), known)
-                self.maker.task.lane_layout(course)  # raises UserError for a lane that is none
+                layout_of(self.maker.task, course)  # raises UserError for a lane that is none
                 self._tensors.given[lane] = course[next(iter(known))]
 
     def refill(self, begun: Sequence[int]) -> None:

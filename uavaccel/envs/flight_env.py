@@ -27,6 +27,7 @@ from uavaccel.envs.checks import (
     check_render_mode,
     check_reward,
     known_options,
+    layout_of,
     make_task,
     refuse_copy,
     seed_of,
@@ -271,7 +272,7 @@ class FlightEnv(gymnasium.Env[Observation, Action], Generic[TaskT]):
         try:
             started = session.start_game(task.clock_speed, latencies, lane=lane, height_m=height_m)
         except RpcError as error:
-            task.lane_layout(course)  # raises UserError for what the server refused
+            layout_of(task, course)  # raises UserError for what the server refused
             raise Functions(task).wrong("altitude_m", error.reason) from error
         self._start_ns = started.now_ns()
         self._stopwatches = [Stopwatch(started.transport.clock)]

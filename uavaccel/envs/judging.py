@@ -94,7 +94,7 @@ class Judge:
         """
         goal = self._goal(actions, keys)
         if _modes_of(goal) != tuple(self.modes):
-            raise UserError(f"{type(self.task).__name__}.goal: all actions must ask for the same kind of goal")
+            raise Functions(self.task).wrong("goal", "all actions must ask for the same kind of goal")
         like = cast(actions.reshape(len(actions), -1)[:, 0], "float64")
         numbers = joined([full(number, like) for number in goal.values], like)
         if isinstance(numbers, np.ndarray) and not np.isfinite(numbers).all():  # nothing waits for a GPU
@@ -204,20 +204,23 @@ class Judge:
 
     def _as_sampled(self, course: Mapping[str, Any], before: Mapping[str, Any]) -> Mapping[str, Any]:
         """Return a course as arrays. Raises UserError unless it has the numbers that were sampled, and their kinds."""
-        name = f"{type(self.task).__name__}.advance"
-        items = f"{name}: its course must have the items that sample gives it: {', '.join(map(str, before))}"
+
+        def wrong(what: str) -> UserError:
+            return Functions(self.task).wrong("advance", what)
+
+        items = f"its course must have the items that sample gives it: {', '.join(map(str, before))}"
         if set(course) != set(before):
-            raise UserError(items)
+            raise wrong(items)
 
         def kept(old: Number, new: Number) -> Number:
             if rank(new := full(new, old)) > rank(old):
-                raise UserError(f"{name}: a number of its course is {new.dtype}, and was sampled as {old.dtype}")
+                raise wrong(f"a number of its course is {new.dtype}, and was sampled as {old.dtype}")
             return new
 
         try:
             return dict(mapped(kept, dict(before), course))
         except (IndexError, KeyError, TypeError, ValueError) as error:  # of items that are nested otherwise
-            raise UserError(items) from error
+            raise wrong(items) from error
 
     def _times(self, flown: Flown) -> tuple[Number, Number]:
         """Return which samples (n, S) precede a collision, and the frames' times.

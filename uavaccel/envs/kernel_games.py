@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from uavaccel.commands import samples_due
 from uavaccel.envs.arrays import named_leaves, rank, stacked
-from uavaccel.envs.checks import Functions, known_options
+from uavaccel.envs.checks import Functions, known_options, layout_of
 from uavaccel.envs.flight_env import sample_game
 from uavaccel.envs.sensors import PICTURE_SIZE
 from uavaccel.envs.simulators import clutter_of, kind_of, latency_of, profile_of, speed_of
@@ -74,7 +74,7 @@ class GameMaker:
         known = known_options(options, self.task.reset_options)
         course, latencies = sample_game(self.task, random, games, known)
         task = self.task.with_conditions(course.get(CONDITIONS, {}))
-        return Drawn(course, task, task.lane_layout(course), latencies)
+        return Drawn(course, task, layout_of(task, course), latencies)
 
     def courses(self, games: Sequence[Drawn], kept: Mapping[str, Any] | None = None) -> dict[str, Any]:
         """Return the courses of games over arrays, which are to replace some of `kept`.

@@ -61,6 +61,8 @@ def hide_frames_everywhere(patches: Patches) -> None:
         hide_frames(exc_traceback)
         shown = None if isinstance(exc_value, UserError) else exc_traceback
         original(self, exc_type, exc_value, shown, **options)
+        if isinstance(exc_value, UserError):
+            self.__cause__ = self.__context__ = None
 
     patches.set(kind, "__init__", init)
 

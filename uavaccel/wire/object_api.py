@@ -104,9 +104,9 @@ class ObjectApi(Calls, title="Objects"):
 
     @call("simLoadLevel")
     def load_level(self, level_name: object) -> bool:
-        """Return True for the present scene. Raises ValueError for any other."""
+        """Return True for the present scene, in any case as in Unreal. Raises ValueError for any other."""
         scene = self.simulation.world.scene
-        if level_name != scene:
+        if str(level_name).lower() != scene.lower():
             raise ValueError(f"the scene is {scene!r} and stays; another is chosen as the simulation is started")
         return True
 

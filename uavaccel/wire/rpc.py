@@ -196,6 +196,10 @@ class Future:
     `result` and `error` are valid once it is `done`; `error` is the server's text, or None.
     """
 
+    _callback: Callable[[Any], object] | None = None
+    _result_handler: Callable[[Any], object] | None = None
+    _error_handler: Callable[[Any], object] | None = None
+
     def __init__(self, method: str, wait: Callable[[Any], object] = lambda call: None) -> None:
         self.method = method
         self.done = False
@@ -204,14 +208,33 @@ class Future:
         self.wait = wait
 
     def join(self) -> None:
-        """Wait for the answer. As in AirSim an error is not raised."""
+        """Wait for the answer, and call what is attached. As in AirSim an error is not raised."""
         if not self.done:
             self.wait(self)
+            if self._callback is not None:
+                self._callback(self)
 
     def get(self) -> Received:
-        """Wait for the answer and return it. Raises RpcError with the server's text."""
+        """Wait for the answer and return it, or None if a handler takes it. Raises RpcError with the server's text."""
         self.join()
-        return self.outcome()
+        taken = self.result if self.error is None else self.error
+        handler = self._result_handler if self.error is None else self._error_handler
+        if handler is None or taken is None:
+            return self.outcome()
+        handler(taken)
+        return None
+
+    def attach_callback(self, callback: Callable[[Any], object]) -> None:
+        """Let `join` and `get` call it with this future, once its answer has arrived."""
+        self._callback = callback
+
+    def attach_result_handler(self, handler: Callable[[Any], object]) -> None:
+        """Let `get` hand it the result."""
+        self._result_handler = handler
+
+    def attach_error_handler(self, handler: Callable[[Any], object]) -> None:
+        """Let `get` hand it the error's text, and not raise one."""
+        self._error_handler = handler
 
     def outcome(self) -> Received:
         """Return what has been answered. Raises RpcError as `get` does."""
