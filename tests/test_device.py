@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator
-from contextlib import ExitStack, closing, contextmanager
+from contextlib import closing, contextmanager
 from copy import deepcopy
 from importlib import import_module
 from types import SimpleNamespace
@@ -75,21 +75,18 @@ def test_wrong_actions_on_the_device_are_clipped_and_told_once_two_steps_later(m
     from uavaccel.envs import cuda_batch
 
     monkeypatch.setattr(cuda_batch, "FAR_BEHIND", 2)
-    told = []
-    with ExitStack() as stack:
-        made = [cuda_batch.CudaBatch(ObstacleLane, 2, observation="state") for _ in range(2)]
-        batch, right = (stack.enter_context(closing(each)) for each in made)
-        batch._actions.waits = False
-        for step in range(18):
-            if step in (0, 9):  # a reset knows nothing of what was wrong before it
-                np.testing.assert_array_equal(*(each.reset(seed=step)[0] for each in made))
-            actions = th.tensor([-1, 9] if step in (1, 4, 5, 8) else [2, 3])
-            right.step(actions.clamp(0, 4))
-            try:
-                batch.step(actions.tolist() if step == 2 else actions)  # which the host looks at at once
-            except UserError:
-                told.append(step)
-            np.testing.assert_array_equal(batch._lanes.observations, right._lanes.observations)
+    told, both = [], [cuda_batch.CudaBatch(ObstacleLane, 2, observation="state") for _ in range(2)]
+    both[0]._actions.waits = False
+    for step in range(18):
+        if step in (0, 9):  # a reset knows nothing of what was wrong before it
+            np.testing.assert_array_equal(*(each.reset(seed=step)[0] for each in both))
+        actions = th.tensor([-1, 9] if step in (1, 4, 5, 8) else [2, 3])
+        both[1].step(actions.clamp(0, 4))
+        try:
+            both[0].step(actions.tolist() if step == 2 else actions)  # which the host looks at at once
+        except UserError:
+            told.append(step)
+        np.testing.assert_array_equal(*(each._lanes.observations for each in both))
     assert told == [3, 6, 7]
 
 
