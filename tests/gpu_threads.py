@@ -263,10 +263,8 @@ class Twice:
             others = deepcopy(arguments)
             others[0][0] = 0
             for part in others:
-                if hasattr(part, "gathered"):
-                    part.gathered[...] += 3
-                if hasattr(part, "state"):
-                    part.state["collision_tick"] = 0
+                getattr(part, "gathered", np.zeros(0))[...] += 3
+                getattr(part, "state", {})["collision_tick"] = 0
             self._compare(name, on_host, grid, others)
         self._compare(name, on_host, grid, arguments)
 

@@ -72,9 +72,7 @@ def test_resets_take_options_and_actions_are_looked_at() -> None:
 
 @pytest.mark.usefixtures("host_kernels")
 def test_wrong_actions_on_the_device_are_clipped_and_told_once_two_steps_later(monkeypatch: pytest.MonkeyPatch) -> None:
-    from uavaccel.envs import cuda_batch
-
-    monkeypatch.setattr(cuda_batch, "FAR_BEHIND", 2)
+    monkeypatch.setattr(cuda_batch := import_module("uavaccel.envs.cuda_batch"), "FAR_BEHIND", 2)
     told, both = [], [cuda_batch.CudaBatch(ObstacleLane, 2, observation="state") for _ in range(2)]
     both[0]._actions.waits = False
     for step in range(18):

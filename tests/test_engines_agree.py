@@ -252,7 +252,7 @@ class Engines:
         reduced = case.kind is ObstacleLane and case.keys.get("observation") in ("colour", "depth")
         self.lanes = SideBySide(*self._made(), pictures_alike if reduced else assert_same)
         self.device = self._made_device()
-        self._returns = np.zeros(LANES)
+        self._returns, self._steps = np.zeros(LANES), list[Any]()
 
     def _made(self) -> tuple[KernelBatch, list[FlightEnv]]:
         """The exact simulator's pictures are the kernels' in the lane alone; elsewhere it flies what sees none."""
@@ -309,7 +309,9 @@ class Engines:
             return
         flown = self.lanes.step(actions)
         if self.device:
-            compare_batch(self.device, self.device.step(actions), flown)
+            self._steps = [*self._steps[-1:], (self.device.step(actions), flown)]
+            for each in self._steps:  # that before, too, which stays as it was
+                compare_batch(self.device, *each)
             self._compare_what_the_host_reads(flown)
 
     def _compare_what_the_host_reads(self, flown: Any) -> None:
