@@ -269,7 +269,7 @@ def test_processes_change_no_byte_interrupted_or_killed_too() -> None:
 
     with pytest.raises(Interrupted, match=r"^interrupted after 7 of 15 episodes; go on with it, in part, by --resume"):
         certify(Count, Drawing(), out="part", jobs=2, told=interrupt, **TIMES)
-    certify(Count, Drawing(), out="part", resume=True, **TIMES)
+    certify(Count, Drawing(), out="part", resume=True, jobs=2, **TIMES)
     assert contents("part") == contents("whole")
     parent = os.getpid()
 

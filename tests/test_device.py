@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from copy import deepcopy
 from importlib import import_module
+from types import SimpleNamespace
 from typing import Any
 
 import gymnasium
@@ -69,6 +70,24 @@ def test_resets_take_options_and_actions_are_looked_at() -> None:
         CudaBatch(ObstacleLane, 2, observation="state", autoreset_mode="NextStep")
 
 
+@pytest.mark.usefixtures("host_kernels")
+def test_wrong_actions_on_the_device_are_clipped_and_told_once_two_steps_later(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cuda_batch := import_module("uavaccel.envs.cuda_batch"), "FAR_BEHIND", 2)
+    told, both = [], [cuda_batch.CudaBatch(ObstacleLane, 2, observation="state") for _ in range(2)]
+    both[0]._actions.waits = False
+    for step in range(18):
+        if step in (0, 9):  # a reset knows nothing of what was wrong before it
+            np.testing.assert_array_equal(*(each.reset(seed=step)[0] for each in both))
+        actions = th.tensor([-1, 9] if step in (1, 4, 5, 8) else [2, 3])
+        both[1].step(actions.clamp(0, 4))
+        try:
+            both[0].step(actions.tolist() if step == 2 else actions)  # which the host looks at at once
+        except UserError:
+            told.append(step)
+        np.testing.assert_array_equal(*(each._lanes.observations for each in both))
+    assert told == [3, 6, 7]
+
+
 SHORT: dict[str, Any] = {"t_move_s": 0.02, "t_sample_s": 0.02, "max_commands": 1}
 SMALL: dict[str, Any] = {**SHORT, "picture_size": [17, 16], "clutter": {"shapes": 6}, "observation": "colour"}
 RESTING = {"dvs_preset": "command_line", "t_move_s": 0.002, "t_sample_s": 0.002, "observation": "dvs"}
@@ -100,9 +119,12 @@ def test_threads_of_a_gpu_make_what_the_host_does(monkeypatch: pytest.MonkeyPatc
 
 
 @pytest.mark.parametrize("threads", [1, 4, 32])
-def test_the_threads_of_a_lane_share_what_one_of_them_has_found(threads: int) -> None:
+def test_the_threads_of_a_lane_share_what_one_of_them_has_found(threads: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """The least distance, and the deepest solid, on a tie the later one; threads of other lanes have their own."""
     (gpu, names), random = kernels_in_python(), np.random.default_rng(0)
+    monkeypatch.setattr(th.cuda, "get_device_properties", lambda _: SimpleNamespace(multi_processor_count=16))
+    most = 16 * names["FLYING_WARPS"] * 32 // threads  # lanes for which a GPU has so many
+    assert [names["threads_a_lane"](most + more, None) for more in (0, 1)] == [threads, max(threads // 2, 1)]
     found, depth_m = random.permutation(32), random.integers(4, size=32).astype(float)
     depths, solids = np.zeros(32), np.zeros(32, int)
 
@@ -119,14 +141,8 @@ def test_the_threads_of_a_lane_share_what_one_of_them_has_found(threads: int) ->
 
 
 def test_make_vec_says_which_simulator_flies() -> None:
-    name = "uavaccel/ObstacleLane-v0"
-    made: Any = gymnasium.make_vec(name, num_envs=2, simulator="kernels", observation="state", max_commands=1)
-    with closing(made) as batch:
-        assert isinstance(batch, KernelBatch)
-        assert batch.reset(seed=3, options={"lane": 4})[1]["lane"].tolist() == [4, 4]
-        assert batch.step(np.array([2, 2]))[3].all()
-    for name in ("uavaccel/Hover-v0", "uavaccel/Gates-v0"):
-        made = gymnasium.make_vec(name, num_envs=2, simulator="kernels")
+    for name in ("ObstacleLane", "Hover", "Gates", "Navigate"):
+        made: Any = gymnasium.make_vec(f"uavaccel/{name}-v0", num_envs=2, simulator="kernels")
         with closing(made) as batch:
             assert isinstance(batch, KernelBatch)
 

@@ -252,7 +252,7 @@ class Engines:
         reduced = case.kind is ObstacleLane and case.keys.get("observation") in ("colour", "depth")
         self.lanes = SideBySide(*self._made(), pictures_alike if reduced else assert_same)
         self.device = self._made_device()
-        self._returns = np.zeros(LANES)
+        self._returns, self._steps = np.zeros(LANES), list[Any]()
 
     def _made(self) -> tuple[KernelBatch, list[FlightEnv]]:
         """The exact simulator's pictures are the kernels' in the lane alone; elsewhere it flies what sees none."""
@@ -309,7 +309,9 @@ class Engines:
             return
         flown = self.lanes.step(actions)
         if self.device:
-            compare_batch(self.device, self.device.step(actions), flown)
+            self._steps = [*self._steps[-1:], (self.device.step(actions), flown)]
+            for each in self._steps:  # that before, too, which stays as it was
+                compare_batch(self.device, *each)
             self._compare_what_the_host_reads(flown)
 
     def _compare_what_the_host_reads(self, flown: Any) -> None:
@@ -325,7 +327,8 @@ class Engines:
             found = lanes.info(lane, outcome)
             assert outcome[AT.reward] == pytest.approx(self._returns[lane], abs=1e-9)
             assert found["collision"] == expected["collision"]
-            for name in ("is_success", "position_m", "commands", "wall_s", "phase_s"):
+            same = {"is_success", "position_m", "commands", "wall_s", "phase_s", "lane", "world", "conditions"}
+            for name in same & {*expected}:
                 assert_close(found[name], expected[name])
         self._returns[over] = 0.0
 
@@ -533,6 +536,7 @@ STANDS_BETWEEN_FRAMES: Keys = {
     "t_sample_s": 0.12,
     "speed_m_s": 6.0,
     "max_commands": 3,
+    "history": 2,
 }
 """Images show the pose of Unreal's last frame, and are as old to the agent as TCSC's clock says, which stands: from the
 moment of a frame on, which does not come any more."""
@@ -657,14 +661,21 @@ def two_kinds(task: Any, action: Any) -> Any:
         ("goal", lambda _, action: VelocityGoal(tuple(action[:3] + np.inf)), "returned a number that is not finite"),
     ],
 )
+@pytest.mark.usefixtures("a_gpu")
 def test_what_cannot_be_computed_over_arrays_is_named(name: str, function: Any, said: str) -> None:
     task: Any = type("Mine", (Post.task_class,), {name: function, "__module__": __name__})
-    with pytest.raises(UserError, match=rf"{re.escape(__file__)}: Mine\.{name}.*{re.escape(said)}"):
-        fly_a_command(task)
+    from uavaccel.envs.cuda_batch import CudaBatch
+
+    wrong = rf"{re.escape(__file__)}: Mine\.{name}.*{re.escape(said)}"
+    for made in (KernelBatch, CudaBatch)[: 1 if "finite" in said else 2]:  # a GPU waits for no look at its numbers
+        with pytest.raises(UserError) as caught:
+            fly_a_command(task, made)
+        assert re.search(wrong, str(caught.value).replace("torch.", ""))
+        assert th.get_default_dtype() == th.float32
 
 
-def fly_a_command(task: Any) -> Any:
-    with closing(KernelBatch(environment_of(task), 3, threads=1)) as batch:
+def fly_a_command(task: Any, made: Any = KernelBatch) -> Any:
+    with closing(made(environment_of(task), 3)) as batch:
         batch.reset(seed=0)
         return batch.step(np.full((3, 4), 0.5, np.float32))[0]
 

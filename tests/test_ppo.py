@@ -353,10 +353,13 @@ def test_a_batch_of_tensors_teaches_what_the_host_does(clock: dict[str, Any]) ->
     config = hover(games=100, task=task)
     keys: dict[str, Any] = {**task, "autoreset_mode": "SameStep"}
     made: list[Any] = []
-    told = []
+    told, weights = [], []
     for kind in (KernelBatch, CudaBatch):  # one after the other: PyTorch's generator is seeded where a learner is made
-        made.append(PPOTraining(config, kind(Hover, 2, **keys)))
-        told.append([game for _ in range(3) for game in made[-1].advance()])
+        made.append(learner := PPOTraining(config, kind(Hover, 2, **keys)))
+        rounds = [(learner.advance(), th.nn.utils.parameters_to_vector(learner.policy.parameters())) for _ in range(3)]
+        told.append([game for games, _ in rounds for game in games])
+        weights.append(th.stack([each for _, each in rounds]))
+    th.testing.assert_close(*weights)
     assert len(told[0]) >= 6
     assert {game.info["collision"] for game in told[0]} == {None, "ground"}
     for ours, theirs in zip(*told, strict=True):

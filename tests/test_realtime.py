@@ -378,9 +378,11 @@ def test_a_step_lasts_what_the_environment_says_dt_before_tau() -> None:
 
 
 def test_real_time_in_real_time_and_thinking_times_that_fall_are_refused() -> None:
-    for inside in (RealTime(Counting(), 0.1), RealTime(gymnasium.make("uavaccel/Hover-v0", **HOVER), 0.1, "tcsc")):
-        with pytest.raises(UserError, match=r"^RealTime is in real time already"):
-            RealTime(inside, 0.1, "tcsc")
+    own = gymnasium.make("uavaccel/Hover-v0", **HOVER)
+    with pytest.raises(UserError, match=r"^RealTime is in real time already"):
+        RealTime(RealTime(own, 0.1, "tcsc"), 0.1, "tcsc")
+    with pytest.raises(UserError, match=r"^Hover keeps its own wall clock: use it as it is"):
+        plant_of(own, 0.1)
     with pytest.raises(UserError, match=r"^lognormal: needs 0 < median_s <= p99_s"):
         lognormal(0.2, 0.1)
 

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
 import uavaccel
 from tests.drawing import labelled, record_figures
 from tests.learning import kill_at_row, tiny_config, train_into
-from tests.made_runs import run_of
+from tests.made_runs import run_of, trained
 from tests.running import configured, run_into
 from uavaccel.config import validate
 from uavaccel.errors import UsageError, UserError
@@ -64,6 +65,19 @@ def test_a_seeds_run_is_that_of_a_training_with_this_seed_alone(
     drawn.clear()
     assert [*Seeds().page(Seeds().report(RunDirectory(run)))]
     assert [*drawn] == ["learning_games"], "not those alone of which the time is known"
+
+
+def test_a_row_is_of_the_end_of_its_training(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    won = np.random.default_rng(0).integers(2, size=130)
+    games = [{"is_success": bool(one), "return": one - 0.5, "commands": 5 + one} for one in won.tolist()]
+    flown = [{"games": n, "lanes": [1, 2], "successes": successes} for n, successes in ((60, 2), (130, 1))]
+    report = trained(tmp_path / "part", games, evaluations=flown, games=130)
+    monkeypatch.setattr("uavaccel.suites.seeds.fly_part", lambda *_: report)
+    row = Seeds().fly(over(1), next(Seeds().cases(over(1))), report.run).row
+    assert (row["games"], row["successes"], row["sim_time_s"]) == (130, won.sum(), 910.0)
+    assert (row["evaluation"], row["won"]) == ({"lanes": 2, "successes": 1}, [True, False])
+    recent = np.array([row["success_recent"], row["return_recent"] + 0.5, row["commands_recent"] - 5])
+    np.testing.assert_allclose(recent, won[-100:].mean())
 
 
 def test_an_interval_of_evaluations_covers_the_lanes(tmp_path: Path) -> None:

@@ -202,6 +202,8 @@ def test_evaluations_leave_the_training_as_it_is(tmp_path: Path) -> None:
     assert trained_with(plain.path) == trained_with(run.path)
     assert (plain.path / "rows.jsonl").read_bytes() == (run.path / "rows.jsonl").read_bytes()
     first, last = evaluations(run)
+    kept = [trained_with(run.path / f"policies/{games:07d}") for games in (3, 4)]
+    assert [each["weights_sha256"] for each in kept] == [first["weights_sha256"], last["weights_sha256"]]
     assert [first["games"], last["games"]] == [each["games"] for each in summary["evaluations"]] == [3, 4]
     assert last["weights_sha256"] == summary["weights_sha256"] != first["weights_sha256"]
     flown = evaluation_of(config, run.path)  # whose policy is that of the last evaluation

@@ -179,7 +179,7 @@ SHAPELESS: list[Any] = [[0], [0, 1, 2], [[0, 1]], 3, None, [[1], [2, 3]]]
 def test_an_unknown_keyword_is_also_pythons_error() -> None:
     """TorchRL's GymEnv passes `frameskip` and goes on without it when it meets this TypeError."""
     with pytest.raises(TypeError, match="unexpected keyword argument 'frameskip"):
-        gymnasium.make("uavaccel/Hover-v0", frameskip=1)
+        gymnasium.make("uavaccel/Hover-v0", frameskip=1, spare=2)
 
 
 @pytest.mark.parametrize("kind", [ObstacleLane, Hover])

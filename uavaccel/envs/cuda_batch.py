@@ -116,13 +116,13 @@ class CudaBatch(VectorEnv[Any, Any, Any]):
         read = th.cuda.Event()  # type: ignore[no-untyped-call]
         parts = (part.to("cpu", non_blocking=True, copy=True) for part in (games.begun, self._actions.wrong))
         self._unread.append((read, *parts))  # type: ignore[arg-type]
+        self._actions.wrong.zero_()  # so that each copy is of one step
         read.record()
         if len(self._unread) > self._behind:
             read, begun, wrong = self._unread.popleft()
             read.synchronize()
             games.refill(begun.tolist())
             if wrong:
-                self._actions.wrong.zero_()
                 raise UserError(f"actions of an earlier step were not in the action space: {self.action_space}")
 
     def get_states(self) -> list[State]:
@@ -139,11 +139,14 @@ class CudaBatch(VectorEnv[Any, Any, Any]):
 
 
 class _Actions:
-    """Checks of the actions of `count` environments; `wrong` () bool says whether any on the device were invalid."""
+    """Checks of the actions of `count` environments; `wrong` () bool says whether any on the device were invalid.
+
+    `waits` says whether a check of tensors of the device waits for what comes of it.
+    """
 
     def __init__(self, space: Any, count: int, device: th.device) -> None:
         self._space, self._device, self._shape = space, device, (count, *(space.shape or ()))
-        self.wrong = th.zeros((), dtype=th.bool, device=device)
+        self.wrong, self.waits = th.zeros((), dtype=th.bool, device=device), device.type == "cpu"
         box = isinstance(space, spaces.Box)
         self._low: Any
         self._high: Any
@@ -153,7 +156,7 @@ class _Actions:
 
     def checked(self, actions: Any) -> th.Tensor:
         """Return actions (N, ...) on the device, clipped to the space. Raises UserError for the host's outside it."""
-        on_device = isinstance(actions, th.Tensor) and actions.device.type == self._device.type != "cpu"
+        on_device = isinstance(actions, th.Tensor) and actions.device.type == self._device.type and not self.waits
         given = th.as_tensor(actions, device=self._device)
         box = isinstance(self._space, spaces.Box)
         if given.shape != self._shape or (given.is_floating_point() and not box):
@@ -162,7 +165,7 @@ class _Actions:
         clipped = numbers.clamp(self._low, self._high)
         wrong = ~((clipped - numbers).abs() <= (ROUNDING if box else 0)).all()  # NaN is wrong, too
         if on_device:
-            self.wrong |= wrong
+            self.wrong.copy_(wrong)
         elif wrong:
             raise self._outside(given)
         return clipped.nan_to_num() if box else clipped
