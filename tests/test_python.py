@@ -180,7 +180,7 @@ def test_a_strict_type_checker_passes_the_tutorial(tmp_path: Path) -> None:
     (tmp_path / "right.py").write_text(start + RIGHT)
     (tmp_path / "wrong.py").write_text("\n".join([*start.splitlines(), *MISTAKES, "print(Hover)"]))
     settings = "[mypy]\n[mypy-mujoco.*,numba.*,cv2.*,msgpack.*,h5py.*,pandas.*]\nignore_missing_imports = true\n"
-    settings += "[mypy-torch.*,matplotlib.*,viser.*,gymnasium.wrappers.*,numba.*,rich.*,cv2.*,av.*,PIL.*]\n"
+    settings += "[mypy-torch.*,numpy.*,matplotlib.*,viser.*,gymnasium.wrappers.*,numba.*,rich.*,cv2.*,av.*,PIL.*]\n"
     settings += "follow_imports = skip\nfollow_imports_for_stubs = true\n"  # a minute to read them
     (tmp_path / "mypy.ini").write_text(settings)
     command = [sys.executable, "-m", "mypy", "--strict", "--cache-dir", str(ROOT / ".mypy_cache/stranger")]
