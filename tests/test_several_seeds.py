@@ -49,7 +49,7 @@ def test_a_seeds_run_is_that_of_a_training_with_this_seed_alone(
     run = tmp_path / "run"
     append, rows = RunDirectory.append_row, count(1)
 
-    def append_and_die(*row: Any, **how: bool) -> None:
+    def append_and_die(*row: Any, **how: Any) -> None:
         append(*row, **how)
         if next(rows) == 8:  # four games of seed 7 and its row; three of seed 8
             raise RuntimeError("killed")
