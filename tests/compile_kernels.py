@@ -75,7 +75,9 @@ def count_events() -> None:
 def make_smaller() -> None:
     """Pictures as OpenGL draws them."""
     drawn = np.zeros((4, 4, 4), np.uint8)
-    pixels.means(pixels.luma(drawn))
+    luma = pixels.luma(drawn)
+    luma.setflags(write=False)
+    pixels.means(luma)
     for picture in (pixels.turned_colours(drawn), np.zeros((4, 4), np.float32)):
         pixels.quartered(picture)
 

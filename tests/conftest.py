@@ -44,10 +44,13 @@ gc.disable()
 # What typer makes of the commands is put together once, not whenever a test runs one.
 typer.main.get_command = cache(typer.main.get_command)
 
-# PyTorch's optimizers tell its compiler to leave them alone. To load it takes seconds, and ONNX alone has need of it.
+# PyTorch's optimizers tell its compiler to leave them alone, and who asks for exact repetition tells it that. To load
+# it takes seconds, and ONNX alone has need of it.
 if find_spec("onnxscript") is None:
-    sys.modules["torch._dynamo"] = dynamo = ModuleType("torch._dynamo")
+    dynamo, inductor, config = (ModuleType(f"torch.{name}") for name in ("_dynamo", "_inductor", "_inductor.config"))
     vars(dynamo).update(disable=lambda function, *_, **__: function, graph_break=lambda: None)
+    vars(inductor).update(config=config)
+    sys.modules.update({module.__name__: module for module in (dynamo, inductor, config)})
 
 # How long an example takes says something about the machine's other work alone. Each run draws other examples.
 settings.register_profile("untimed", max_examples=50, deadline=None, suppress_health_check=[HealthCheck.too_slow])

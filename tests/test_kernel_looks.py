@@ -228,6 +228,7 @@ def draw(appearance: Any, scenes: Any, lane: Any, place: Any, turn: Any, room: C
     return picture
 
 
+@pytest.mark.parametrize("views", [48])
 def test_columns_and_quads_are_the_picture_of_faces_that_tiles_touch(appearance: Appearance, views: int) -> None:
     looks, scenes, lanes, places, turns = laid_out(appearance, drawn_views(views, seed=1))
     faces, shown = np.zeros((at.FACES, at.FIELDS), np.float32), np.zeros((at.ROWS, at.COLUMNS), np.int16)
