@@ -16,14 +16,19 @@ import numpy as np
 import pytest
 
 import uavaccel
+from tests import test_kernel_looks as looks
+from tests import test_still_scenes as still
 from tests.host_kernels import stand_in
 from tests.test_kernels_compile import FLOWN
 from uavaccel.envs.navigate import Navigate
 from uavaccel.kernels.appearance import empty_scenes, fill_scenes, read_appearance
+from uavaccel.kernels.fields import Appearance
 from uavaccel.kernels.pictures import render_lanes
 from uavaccel.resources import asset
+from uavaccel.sim.camera import pixels
 from uavaccel.sim.lane import layout_from
 from uavaccel.vision import dvs
+from uavaccel.vision.dvs_kernels import block_sums
 
 # Of single precision, and of double for a low-pass filter.
 CAMERAS: tuple[dict[str, Any], ...] = {"dvs_preset": "clean"}, {"dvs_preset": "noisy"}
@@ -36,6 +41,8 @@ def main() -> None:
         fly_a_command(uavaccel.make_vec(task, 1, simulator="kernels", observation="dvs", max_commands=1, **camera))
     render()
     count_events()
+    make_smaller()
+    compile_tests()
     with pytest.MonkeyPatch.context() as patch:
         stand_in(patch)
         of_a_gpu = import_module("uavaccel.envs.cuda_batch").CudaBatch
@@ -45,11 +52,15 @@ def main() -> None:
 
 def render() -> None:
     """A picture of each kind."""
-    appearance = read_appearance(mujoco.MjModel.from_xml_path(str(asset("mjcf/lane.xml"))))
+    appearance = lane_appearance()
     scenes, pose = empty_scenes(1), (np.zeros((1, 3)), np.array([[1.0, 0.0, 0.0, 0.0]]))
     fill_scenes(appearance, scenes, [0], [layout_from({"obstacles": []}, "test")])
     for kind in ("gray", "colour", "depth"):
         render_lanes(kind, appearance, scenes, np.zeros(1, np.int32), *pose)
+
+
+def lane_appearance() -> Appearance:
+    return read_appearance(mujoco.MjModel.from_xml_path(str(asset("mjcf/lane.xml"))))
 
 
 def count_events() -> None:
@@ -58,6 +69,27 @@ def count_events() -> None:
     for preset in dvs.PRESETS.values():
         sensor = dvs.make_sensor(preset, frames[0].shape, seed=0)
         dvs.step_with_events(sensor, dvs.init_state(sensor, frames[0]), frames[1], 0.01)
+    block_sums(*np.zeros((2, 4, 4), np.int32))
+
+
+def make_smaller() -> None:
+    """Pictures as OpenGL draws them."""
+    drawn = np.zeros((4, 4, 4), np.uint8)
+    luma = pixels.luma(drawn)
+    luma.setflags(write=False)
+    pixels.means(luma)
+    for picture in (pixels.turned_colours(drawn), np.zeros((4, 4), np.float32)):
+        pixels.quartered(picture)
+
+
+def compile_tests() -> None:
+    """What tests compile for themselves, of parts that are typed by now."""
+    looks.test_columns_and_quads_are_the_picture_of_faces_that_tiles_touch(lane_appearance(), 1)
+    looks.test_quads_without_noise_see_what_pixels_see(0.0, 0.2)
+    still.test_rays_meet_what_mujocos_rays_meet("sphere")
+    still.test_a_picture_sees_only_what_its_tiles_have()
+    still.test_no_hill_is_nearer_than_the_bound()
+    still.test_a_thin_plate_is_touched_where_mujoco_finds_it_touched()
 
 
 def fly_a_command(batch: Any) -> None:

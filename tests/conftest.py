@@ -10,7 +10,9 @@ import signal
 import sys
 import sysconfig
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from functools import cache
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +27,7 @@ from tests.scenes import Scene
 from tests.scripts import Folder
 from uavaccel import own_code
 from uavaccel.cli import main as cli
+from uavaccel.draw import style
 from uavaccel.errors import UserError
 from uavaccel.resources import asset
 from uavaccel.sim.camera import gl
@@ -51,12 +54,31 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 def own_state(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     """Keep what tests trust out of the user's own state, also in the programs that they start.
 
-    Nothing of a test has to survive a loss of power, so no file waits for the disk.
+    Nothing of a test has to survive a loss of power, so no file waits for the disk. Figures take longer to draw than
+    most tests' flights: in place of each a few bytes are written, but by `save` itself, which tests/test_draw.py has.
     """
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(os, "fsync", lambda descriptor: None)
+        patch.setattr(style, "save", lay_out)
         patch.setenv("XDG_STATE_HOME", str(tmp_path_factory.mktemp("state")))
         yield
+
+
+def lay_out(figure: Any, path: Path) -> Path:
+    """Lay a figure out instead of drawing it, the first of its name."""
+    if path.stem not in LAID_OUT:
+        LAID_OUT.add(path.stem)
+        figure.draw_without_rendering()
+    return write_no_picture(path)
+
+
+LAID_OUT: set[str] = set()
+
+
+def write_no_picture(path: Path) -> Path:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_bytes(b"a picture")
+    return path
 
 
 @pytest.fixture(autouse=True)
@@ -134,8 +156,19 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Producer) -> ByGroup
 
 
 @pytest.hookimpl(wrapper=True)
-def pytest_collection() -> Iterator[None]:
-    """Of the workers and of the process that starts them, which collects no tests."""
+def pytest_collection(session: pytest.Session) -> Iterator[None]:
+    """Of the workers and of the process that starts them, which collects no tests.
+
+    If all tests run, each worker begins with other modules, so that one of them rewrites a module's asserts, on a fresh
+    clone, and the others load them.
+    """
+    worker: dict[str, Any] = getattr(session.config, "workerinput", {})
+    if worker and session.config.args == session.config.getini("testpaths"):
+        modules = sorted(file.stem for file in Path(__file__).parent.glob("test_*.py"))
+        first = len(modules) * int(worker["workerid"].removeprefix("gw")) // worker["workercount"]
+        for module in modules[first:] + modules[:first]:
+            with suppress(Exception, pytest.skip.Exception):  # which collection meets again
+                import_module(f"tests.{module}")
     found = yield
     gc.freeze()
     gc.enable()
@@ -184,14 +217,6 @@ def lane_world(_lane_world: World) -> World:
     _lane_world.set_lane(layout_from({"obstacles": []}, "test"))
     _lane_world.reset()
     return _lane_world
-
-
-@pytest.fixture
-def without_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Write a few bytes in place of a figure, which takes longer than a small run's flights."""
-    from tests.drawing import record_figures  # which loads what draws
-
-    record_figures(monkeypatch)
 
 
 @pytest.fixture(scope="module")

@@ -11,6 +11,7 @@ from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 from matplotlib.patches import PathPatch
 
+from tests.conftest import write_no_picture
 from uavaccel.draw import style
 
 Points = list[tuple[float, float]]
@@ -21,10 +22,8 @@ def record_figures(monkeypatch: pytest.MonkeyPatch) -> dict[str, Figure]:
     figures: dict[str, Figure] = {}
 
     def save(figure: Figure, path: Path) -> Path:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_bytes(b"a picture")
         figures[path.stem] = figure
-        return path
+        return write_no_picture(path)
 
     monkeypatch.setattr(style, "save", save)
     return figures

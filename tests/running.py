@@ -12,10 +12,8 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner
 
-from tests.drawing import record_figures
 from tests.web_pages import assert_sound
 from uavaccel.cli.main import app
-from uavaccel.draw import style
 from uavaccel.records import RunDirectory
 from uavaccel.suites.experiment import Experiment
 from uavaccel.suites.report import Summary
@@ -32,12 +30,9 @@ def fly_into(out: Path, suite: AnySuite, config: Experiment, resume: bool = Fals
 
 
 def run_into(out: Path, suite: AnySuite, config: Experiment, resume: bool = False, jobs: int = 1) -> Summary:
-    """Fly and report, without files of pictures; the summary. Each suite's page is looked at on the way."""
+    """Fly and report; the summary. Each suite's page is looked at on the way."""
     run = fly_into(out, suite, config, resume, jobs)
-    with pytest.MonkeyPatch.context() as patch:
-        if style.save.__module__ != record_figures.__module__:  # the test itself looks at them
-            record_figures(patch)
-        summary = suite.report(run).write()
+    summary = suite.report(run).write()
     assert_sound((out / "report.html").read_text(encoding="utf-8"))
     return summary
 

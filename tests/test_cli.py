@@ -19,7 +19,6 @@ from pydantic import BaseModel
 from rich.console import Console
 from typer.testing import CliRunner
 
-from tests.drawing import record_figures
 from tests.golden import assert_as_recorded, plain
 from tests.running import typed
 from tools.write_cli_reference import reference
@@ -490,7 +489,6 @@ SHIPPED = "dp1 dp2_airsim evaluate hover_ppo mediation_flight realtime_wall rl_s
 @pytest.mark.slow
 def test_a_session_prints_and_leaves_what_was_recorded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Of each command its lines, the files that it has made, and of a run the summary and the last row."""
-    record_figures(monkeypatch)
     monkeypatch.chdir(tmp_path)
     (tmp_path / "act.py").write_text("def hold(seen): return [0.0] * 3\n\n\ndef left(seen): return 0\n")
     told, there = list[str](), {Path("act.py")}

@@ -320,7 +320,6 @@ def test_the_guard_study_sums_up_streams_of_the_runs_own_images(
     alarms = sent_through(colour, 0.0, 2, 5)
     assert study["clean_false_alarms"] == study["clean_retries"] == alarms[0][None] - alarms[1][None] > 0
     assert [study[key] for key in ("modelled", "images", "share", "streams")] == [True, 10, 0.4, 3]
-    monkeypatch.setattr("uavaccel.draw.style.save", lambda figure, path: path)
     *_, table, said, _ = Dp2().page(report)
     assert isinstance(table, Table)
     assert [[kind, *shares] for kind, _, *shares in table.rows] == [

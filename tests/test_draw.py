@@ -12,6 +12,7 @@ import pytest
 from matplotlib.text import Text
 
 from uavaccel.draw import page, style
+from uavaccel.draw.style import save
 from uavaccel.suites import plots
 
 # --- trajectories in space -----------------------------------------------------------------------------------
@@ -53,7 +54,7 @@ def test_equal_figures_are_equal_files_and_leave_no_style_behind(tmp_path: Path)
     before = dict(mpl.rcParams)
     for name in ("a/one.png", "b/two.png"):
         figure = style.new_figure(3.0, "A title", "from")
-        assert style.save(figure, tmp_path / name) == tmp_path / name
+        assert save(figure, tmp_path / name) == tmp_path / name
     assert dict(mpl.rcParams) == before
     one, two = ((tmp_path / name).read_bytes() for name in ("a/one.png", "b/two.png"))
     assert one == two
@@ -72,7 +73,7 @@ def test_no_figure_is_wider_than_1280_pixels_whatever_it_shows(count: int, tmp_p
         for axes in grid:
             axes.plot([0, 1], label=f"a label of some length {count}")
         style.legend(figure, {f"another one, number {number}": style.LIMIT for number in range(9)})
-        image = cv2.imread(str(style.save(figure, tmp_path / "one.png")))
+        image = cv2.imread(str(save(figure, tmp_path / "one.png")))
         sizes = [float(text.get_fontsize()) for text in figure.findobj(Text) if text.get_text()]
     assert image is not None
     assert image.shape[1] == 1280

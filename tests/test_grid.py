@@ -22,7 +22,7 @@ from uavaccel.suites.evaluate import Evaluation
 from uavaccel.suites.grid import Ablation, Point, Robustness, Sweep, band_figure
 from uavaccel.suites.session import RunRequest, reading
 
-pytestmark = pytest.mark.usefixtures("without_pictures", "whole_messages")
+pytestmark = pytest.mark.usefixtures("whole_messages")
 BASE = "base={profile: airsim, command: [adsc], clock_speed: [1, 10], t_move_s: [0.2], rounds: [2], games: 2, reference_games: 2}"  # noqa: E501
 # It sees nothing, so there are no pictures; the latency changes where it is when a game is cut short.
 BLIND = ("agent=straight", "games=2", "evaluation.keys={task.max_commands: 5}")

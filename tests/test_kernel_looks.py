@@ -18,10 +18,9 @@ from uavaccel.envs.obstacle_lane import ObstacleLane
 from uavaccel.errors import UserError
 from uavaccel.kernels import cpu as _cpu
 from uavaccel.kernels import events
-from uavaccel.kernels import faces as _faces
 from uavaccel.kernels import fields as at
-from uavaccel.kernels import rays as _rays
 from uavaccel.kernels.appearance import empty_scenes, fill_scenes, mipmaps, read_appearance
+from uavaccel.kernels.faces import project
 from uavaccel.kernels.fields import Appearance, Scenes
 from uavaccel.kernels.pictures import render_lanes
 from uavaccel.kernels.quads import (
@@ -36,6 +35,7 @@ from uavaccel.kernels.quads import (
     settle,
     update_quad,
 )
+from uavaccel.kernels.rays import touches
 from uavaccel.resources import asset
 from uavaccel.sim.camera.camera import Camera, make_cameras_with
 from uavaccel.sim.lane import Difficulty, LaneLayout, apply_layout, lane_seed, sample_layout
@@ -44,7 +44,7 @@ from uavaccel.vision.dvs import PRESETS, DvsParameters, init_state, make_sensor,
 from uavaccel.vision.dvs_kernels import count_single_pixel
 from uavaccel.vision.dvs_sensor import sample_pixels
 
-cpu, faces_of, rays = Alone(_cpu), Alone(_faces), Alone(_rays)
+cpu = Alone(_cpu)
 Floats = NDArray[np.float64]
 View = tuple[LaneLayout, Floats, Floats]  # lane, position, quaternion; NED
 
@@ -157,40 +157,6 @@ def seen_events(pictures: NDArray[np.uint8]) -> NDArray[np.int64]:
     return np.array(counts, np.int64)
 
 
-def linear(faces: NDArray[np.float32], face: Any, field: int, rows: Any, columns: Any) -> NDArray[np.float32]:
-    """A linear function of pixels, in single precision."""
-    of = faces[face, field : field + 3].T
-    return of[0] * np.float32(columns) + (of[1] * np.float32(rows) + of[2])
-
-
-def nearest_faces(faces: NDArray[np.float32], rows: Any, columns: Any) -> NDArray[np.int64]:
-    """The faces that pixels show, 0 for the sky."""
-    rows, columns = np.broadcast_arrays(rows, columns)
-    best, shown = np.full(rows.shape, faces[0, at.FAR_W]), np.zeros(rows.shape, int)
-    for face in range(1, int(faces[0, at.COUNT])):
-        w = linear(faces, face, at.W, rows, columns)
-        seen = (faces[face, at.NEAREST_W] > best) & (w > best) & (w <= faces[0, at.NEAR_W])
-        edges = [(face, at.EDGES + 3 * edge) for edge in range(4)]
-        if extra := int(faces[face, at.EXTRA]):
-            edges += [(extra, 3 * edge) for edge in range(8)]
-        for of, field in edges:
-            seen &= linear(faces, of, field, rows, columns) >= 0
-        best[seen], shown[seen] = w[seen], face
-    return shown
-
-
-def test_tiles_touch_every_face_that_they_show(appearance: Appearance) -> None:
-    for view in drawn_views(8, seed=5):
-        arguments = laid_out(appearance, [view])
-        faces = np.zeros((at.FACES, at.FIELDS), np.float32)
-        count = faces_of.project(appearance, arguments[1], 0, view[1], view[2], True, faces)
-        for top, left in np.ndindex(3, 4):
-            ends = [np.float32(end) for end in (48 * top, 48 * top + 47, 64 * left, 64 * left + 63)]
-            touched = {face for face in range(1, count) if rays.touches(faces, face, *ends)}
-            corners = np.array([(48 * top + row, 64 * left + column) for row in (0, 13, 47) for column in (0, 29, 63)])
-            assert set(nearest_faces(faces, *corners.T).tolist()) <= touched | {0}
-
-
 @needs_opengl
 def test_textures_are_those_that_opengl_has(lane_scene: Scene, camera: Camera) -> None:
     from OpenGL import GL
@@ -239,15 +205,17 @@ def room() -> Column:
 
 
 @kept()
-def draw(appearance: Any, faces: Any, room: Column, shown: Any, picture: Any) -> None:
-    """What each pixel shows (ROWS, COLUMNS), and its luma."""
+def draw(appearance: Any, scenes: Any, lane: Any, place: Any, turn: Any, room: Column, faces: Any, shown: Any) -> Any:
+    """The lumas of a picture, with the faces that it has, and which of them each pixel shows (ROWS, COLUMNS)."""
+    project(appearance, scenes, lane, place, turn, True, faces)
+    picture = np.zeros((at.ROWS, at.COLUMNS), np.uint8)
     for column in range(at.COLUMNS):
-        place, count = np.uintp(column), np.int32(0)
+        x, count = np.uintp(column), np.int32(0)
         for face in range(1, int(faces[0, at.COUNT])):
             if faces[face, at.NEAREST_W] > 0:
-                count = add_interval(faces, np.int32(face), np.int32(column), room, place, count)
-        settle(faces[0, at.FAR_W], room, place, count)
-        fill_column(room, place, shown, place)
+                count = add_interval(faces, np.int32(face), np.int32(column), room, x, count)
+        settle(faces[0, at.FAR_W], room, x, count)
+        fill_column(room, x, shown, x)
     for row in range(0, at.ROWS, 2):
         for column in range(0, at.COLUMNS, 2):
             a, b = np.int32(shown[row, column]), np.int32(shown[row, column + 1])
@@ -257,17 +225,21 @@ def draw(appearance: Any, faces: Any, room: Column, shown: Any, picture: Any) ->
             )
             picture[row, column], picture[row, column + 1] = quad[0], quad[1]
             picture[row + 1, column], picture[row + 1, column + 1] = quad[2], quad[3]
+    return picture
 
 
-def test_columns_and_quads_are_the_picture(appearance: Appearance) -> None:
-    arguments = laid_out(appearance, drawn_views(48, seed=1))
-    faces = np.zeros((at.FACES, at.FIELDS), np.float32)
-    shown = np.zeros((at.ROWS, at.COLUMNS), np.int16)
-    drawn = np.zeros((48, at.ROWS, at.COLUMNS), np.uint8)
-    for number, picture in enumerate(drawn):
-        faces_of.project(appearance, arguments[1], number, arguments[3][number], arguments[4][number], True, faces)
-        draw(appearance, faces, room(), shown, picture)
-    apart = np.abs(drawn.astype(int) - render_lanes("gray", *arguments))
+@pytest.mark.parametrize("views", [48])
+def test_columns_and_quads_are_the_picture_of_faces_that_tiles_touch(appearance: Appearance, views: int) -> None:
+    looks, scenes, lanes, places, turns = laid_out(appearance, drawn_views(views, seed=1))
+    faces, shown = np.zeros((at.FACES, at.FIELDS), np.float32), np.zeros((at.ROWS, at.COLUMNS), np.int16)
+    drawn = np.zeros((views, at.ROWS, at.COLUMNS), np.uint8)
+    for view in range(views):
+        drawn[view] = draw(looks, scenes, lanes[view], places[view], turns[view], room(), faces, shown)
+        for top, left in np.ndindex(3, 4):
+            ends = [np.float32(end) for end in (48 * top, 48 * top + 47, 64 * left, 64 * left + 63)]
+            seen = set(shown[48 * top : 48 * top + 48, 64 * left : 64 * left + 64].ravel().tolist()) - {0}
+            assert all(touches.py_func(faces, np.int32(face), *ends) for face in seen)
+    apart = np.abs(drawn.astype(int) - render_lanes("gray", looks, scenes, lanes, places, turns))
     assert np.mean(apart > 0) <= 5e-5
 
 

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import json
-import os
 import re
 import shutil
-import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -14,9 +12,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.conftest import forget_own_code
+from tests.conftest import forget_own_code, modules_below
 from tests.running import run_into
 from uavaccel import VelocityGoal, open_session, tcsc
+from uavaccel.cli.main import app
 from uavaccel.errors import UserError
 from uavaccel.own_code import file_beside, folder_of, look_also_in, own_function, trusting
 from uavaccel.resources import asset
@@ -31,16 +30,7 @@ PAGE = (ROOT / "docs" / "own-suite.md").read_text(encoding="utf-8")
 FOUND = re.findall(r"^```(\w+)[^\n]*\n(.*?)^```$", PAGE, re.DOTALL | re.MULTILINE)
 BLOCKS = dict(reversed(FOUND))
 RUN, REPORT = (line.split()[1:] for line in BLOCKS["sh"].splitlines())
-COMMAND = [sys.executable, "-m", "uavaccel"]
 MADE = ("rows.jsonl", "summary.json", "config.yaml")
-
-
-def environment() -> dict[str, str]:
-    return {"PYTHONPATH": str(ROOT), "XDG_STATE_HOME": os.environ["XDG_STATE_HOME"]}
-
-
-def uavaccel(folder: Path, *arguments: str) -> None:
-    subprocess.run([*COMMAND, *arguments], cwd=folder, env=environment(), check=True)
 
 
 @pytest.fixture(scope="module")
@@ -49,7 +39,13 @@ def home(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("home")
     (folder / "toy.py").write_text(BLOCKS["python"])
     (folder / "toy.yaml").write_text(BLOCKS["yaml"])
-    uavaccel(folder, *RUN)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        patch.setattr(sys, "path", [*sys.path])
+        forget_own_code(patch)
+        app(RUN, standalone_mode=False)
+    for name in modules_below(folder):
+        del sys.modules[name]
     return folder
 
 

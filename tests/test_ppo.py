@@ -95,11 +95,11 @@ LEFT_ALONE = {"signs": (1.0,), "mirrored": ((-1,), (-1, -2))}
 def test_it_learns_actions_from_a_picture_beside_a_state(keys: dict[str, Any], seen: dict[str, Any]) -> None:
     """Of a task that says how it is mirrored, what it sees on the left teaches what to do on the right."""
     env = Toy(**seen)
-    ppo = PPO(env, options(commands=16 * 16 * 60, **keys))
+    ppo = PPO(env, options(commands=16 * 16 * 44, **keys))
     rounds = list(ppo.learn())
-    assert rounds[-1].commands == ppo.commands == 16 * 16 * 60
+    assert rounds[-1].commands == ppo.commands == 16 * 16 * 44
     assert rounds[0].games == 16 * 4
-    assert rounds[-1].reward > rounds[0].reward / 5
+    assert rounds[-1].reward > rounds[0].reward / 3
     assert rounds[-1].won > rounds[0].won
     for sign in (1.0, -1.0):
         seen = {"image": picture(sign)[None].copy(), "state": np.full((1, 1), sign, np.float32)}
@@ -284,7 +284,7 @@ def test_the_kernels_teach_the_same_weights(trained: RunDirectory, tmp_path: Pat
 @pytest.mark.slow
 def test_the_shipped_training_learns_to_hover(tmp_path: Path) -> None:
     """In games that none of its seeds has flown, and with fewer than it ships with."""
-    run = fly_into(tmp_path / "run", Training(), configured("hover_ppo", "games=100", "simulator=kernels"))
+    run = fly_into(tmp_path / "run", Training(), configured("hover_ppo", "games=64", "simulator=kernels"))
     keys = ("simulator=kernels", "task.timing=lockstep")
     flown = fly_into(tmp_path / "flown", Evaluation(), configured("evaluate", *keys, agent=str(run.path), games=40))
     assert sum(row["is_success"] for row in flown.rows()) >= 36

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from itertools import count
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,9 +12,9 @@ from matplotlib.figure import Figure
 
 import uavaccel
 from tests.drawing import labelled, record_figures
-from tests.learning import kill_at_row, tiny_config, train_into
+from tests.learning import tiny_config, train_into
 from tests.made_runs import run_of, trained
-from tests.running import configured, run_into
+from tests.running import configured, fly_into, run_into
 from uavaccel.config import validate
 from uavaccel.errors import UsageError, UserError
 from uavaccel.metrics.intervals import Proportion
@@ -46,7 +48,17 @@ def test_a_seeds_run_is_that_of_a_training_with_this_seed_alone(
     """Killed in the second training, resumed with a third seed, and later with more games."""
     drawn: dict[str, Figure] = record_figures(monkeypatch)
     run = tmp_path / "run"
-    kill_at_row(run, over(2), 8)  # four games of seed 7 and its row; three of seed 8
+    append, rows = RunDirectory.append_row, count(1)
+
+    def append_and_die(*row: Any, **how: Any) -> None:
+        append(*row, **how)
+        if next(rows) == 8:  # four games of seed 7 and its row; three of seed 8
+            raise RuntimeError("killed")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(RunDirectory, "append_row", append_and_die)
+        with pytest.raises(RuntimeError, match="killed"):
+            fly_into(run, Seeds(), over(2))
     assert [len(RunDirectory(path).rows()) for path in (run, run / "parts/seed7", run / "parts/seed8")] == [1, 4, 3]
     run_into(run, Seeds(), over(3), resume=True)
     for seed in (7, 8, 9):
