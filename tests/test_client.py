@@ -127,10 +127,15 @@ def test_the_client_expects_its_answers_when_they_are_due() -> None:
 
 
 def test_a_refusal_that_nobody_joins_comes_with_the_next_answer() -> None:
+    """Of its own game, and once."""
     client, _ = new_client()
     client.move_async(NORTH, 0.0015)
     with pytest.raises(rpc.RpcError, match=r"0\.0015"):
         client.continue_for(2 * MS)
+    assert client.continue_for(2 * MS).time_ns == 4 * MS
+    client.move_async(NORTH, 0.0015)
+    begun = client.start_game(1.0)
+    assert client.continue_for(2 * MS).time_ns == begun.time_ns + 2 * MS
 
 
 def test_a_recording_arrives_as_it_was_made() -> None:
