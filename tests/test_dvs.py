@@ -232,3 +232,7 @@ def test_images_are_paired_by_index_as_far_as_both_runs_have_them() -> None:
     np.testing.assert_array_equal(dvs_ed_percent(*run, *reference), shorter)
     np.testing.assert_array_equal(dvs_ed_percent(*reference, *run), shorter)
     np.testing.assert_array_equal(dvs_ed_percent(*run, *run), 0.0)
+    for one, other in ((run, reference[..., 1:]), ((run[0], run[1, 1:]), reference), (run[..., 0], reference[..., 0])):
+        for counts in ((*one, *other), (*other, *one)):
+            with pytest.raises(ValueError, match="event counts"):
+                dvs_ed_percent(*counts)
