@@ -149,39 +149,6 @@ def test_leak_rates_spread_by_decades_around_one() -> None:
     assert decades.mean() == pytest.approx(0.0, abs=4 * 0.25 / PIXELS**0.5)
 
 
-def test_leak_jitters_by_its_fraction_and_anew_in_each_frame() -> None:
-    """The memorised intensity falls by leak rate x dt positive thresholds, so that ON events come of nothing."""
-    parameters = replace(EXACT, positive_threshold=0.3, leak_rate_hz=0.5, leak_jitter_fraction=0.2)
-    sensor = dvs.make_sensor(parameters, SHAPE, seed=0)
-    state, falls = dvs.init_state(sensor, grey(90), noise_seed=3), []
-    for t_s, dt_s in ((0.25, 0.25), (0.75, 0.5)):
-        last, (state, _, _) = state.base_log, dvs.step(sensor, state, grey(90), t_s)
-        falls.append((last - state.base_log) / (dt_s * 0.5 * 0.3))
-        assert falls[-1].mean() == pytest.approx(1.0, abs=4 * 0.2 / PIXELS**0.5)
-        assert falls[-1].std() == pytest.approx(0.2, rel=0.03)
-    assert abs(np.corrcoef(falls[0].ravel(), falls[1].ravel())[0, 1]) < 0.03
-
-
-@pytest.mark.parametrize(("level", "dt_s"), [(0, 0.02), (0, 0.1), (0, 0.8), (100, 0.1), (255, 0.1)])
-def test_shot_noise_falls_with_brightness_and_is_on_as_often_as_off(level: int, dt_s: float) -> None:
-    """Also where most pixels have both in one frame."""
-    sensor = dvs.make_sensor(replace(EXACT, shot_noise_rate_hz=2.0), SHAPE, seed=0)
-    _, on, off = dvs.step(sensor, dvs.init_state(sensor, grey(level)), grey(level), dt_s)
-    expected = PIXELS * 2.0 / 2 * dt_s * (1 - 0.75 * (level + 20) / 275)
-    assert on.sum() == pytest.approx(expected, abs=4 * expected**0.5)
-    assert off.sum() == pytest.approx(expected, abs=4 * expected**0.5)
-
-
-def test_shot_noise_hits_other_pixels_in_each_frame() -> None:
-    sensor = dvs.make_sensor(replace(EXACT, shot_noise_rate_hz=1.0), SHAPE, seed=0)
-    state, hit = dvs.init_state(sensor, grey(0)), []
-    for t_s in (0.2, 0.4):
-        state, on, off = dvs.step(sensor, state, grey(0), t_s)
-        hit.append((on + off) > 0)
-    share = hit[0].mean()
-    assert (hit[0] & hit[1]).mean() == pytest.approx(share**2, rel=0.2)
-
-
 def test_shot_noise_is_listed_at_the_last_stamp_where_it_hit() -> None:
     sensor = dvs.make_sensor(replace(EXACT, shot_noise_rate_hz=3.0), SHAPE, seed=0)
     _, on, off, events = dvs.step_with_events(sensor, dvs.init_state(sensor, grey(60)), grey(60), 0.1)
