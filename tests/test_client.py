@@ -246,6 +246,18 @@ def test_a_lane_is_laid_out_before_the_game() -> None:
     assert windy.position_m[1] > 0.01
 
 
+def test_a_flight_goes_on_in_another_scenery() -> None:
+    with VirtualSession("lane", "native") as session:
+        ends = []
+        for scenery in ("plain", "forest"):
+            client = session.start_game(1.0, height_m=-2.0, lane={"seed": 3})
+            client.move_async(NORTH, 1.0)
+            client.continue_for(500 * MS)
+            client.set_lane({"seed": 3, "difficulty": {"scenery": scenery}})
+            ends.append(client.continue_for(500 * MS))
+    assert ends[1] == replace(ends[0], time_ns=ends[1].time_ns)
+
+
 def test_a_clock_speed_is_a_number() -> None:
     with open_session("lockstep") as session, pytest.raises(UserError, match=r"^clock_speed must be a finite"):
         session.start_game("2")  # type: ignore[arg-type]
