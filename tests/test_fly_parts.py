@@ -334,9 +334,6 @@ def test_a_scripts_programs_fly_in_its_flight_whatever_address_they_name(monkeyp
     monkeypatch.setenv(environment.PORT, "8123")
     environment._connect("10.0.0.1", 41451, 2.5)
     opened.assert_called_once_with("127.0.0.1", 8123, 2.5)
-    monkeypatch.setenv(environment.PORT, "")
-    with pytest.raises(UserError, match="--timing wall"):
-        environment._connect("127.0.0.1", 41451, 2.5)
 
 
 def test_a_refusal_after_the_flight_is_ignored() -> None:
