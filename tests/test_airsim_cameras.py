@@ -28,7 +28,7 @@ SETTINGS = {
         "Eye": {
             "Cameras": {
                 "tail": {"X": -1.0, "Z": -0.5, "Pitch": -20, "Yaw": 170},
-                "front_left": {
+                "2": {
                     "Y": -0.5,
                     "CaptureSettings": [{"ImageType": 1, "Width": 64, "Height": 80, "FOV_Degrees": 60}],
                     "Gimbal": {"Stabilization": 1},
@@ -89,7 +89,7 @@ def test_each_camera_sees_from_its_mount_through_its_lens(name: str) -> None:
     forward = VEHICLE.matrix() @ turned(mount[1])[:, 0]
     x, y, z = axis
     np.testing.assert_allclose([1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)], forward, atol=1e-9)
-    assert wire.api.settings.without_effect() == ["Vehicles.Eye.Cameras.front_left.Gimbal"]
+    assert wire.api.settings.without_effect() == ["Vehicles.Eye.Cameras.2.Gimbal"]
 
 
 def test_an_external_camera_stands_in_the_world_and_sees_the_vehicle() -> None:

@@ -123,15 +123,6 @@ def test_listed_events_add_up_to_the_counts_in_order_of_their_stamps(preset: str
         assert (np.diff(events[:, 0]) >= 0).all()
 
 
-def test_shot_noise_resets_the_pixel() -> None:
-    sensor = dvs.make_sensor(replace(EXACT, shot_noise_rate_hz=5.0), SHAPE, seed=0)
-    dark = np.zeros(SHAPE, np.uint8)
-    state, on, off = dvs.step(sensor, dvs.init_state(sensor, dark), dark + np.uint8(1), 0.1)
-    noisy = (on + off) > 0
-    assert 0.1 < noisy.mean() < 0.9
-    np.testing.assert_array_equal(state.base_log, np.where(noisy, dvs.LIN_LOG[1], dvs.LIN_LOG[0]))
-
-
 def test_luma_is_opencvs_grey_of_the_reversed_channels() -> None:
     rgb = np.random.default_rng(1).integers(0, 256, (31, 17, 3), np.uint8)
     np.testing.assert_array_equal(dvs.luma(rgb), cv2.cvtColor(rgb[:, :, ::-1].copy(), cv2.COLOR_BGR2GRAY))
@@ -241,3 +232,7 @@ def test_images_are_paired_by_index_as_far_as_both_runs_have_them() -> None:
     np.testing.assert_array_equal(dvs_ed_percent(*run, *reference), shorter)
     np.testing.assert_array_equal(dvs_ed_percent(*reference, *run), shorter)
     np.testing.assert_array_equal(dvs_ed_percent(*run, *run), 0.0)
+    for one, other in ((run, reference[..., 1:]), ((run[0], run[1, 1:]), reference), (run[..., 0], reference[..., 0])):
+        for counts in ((*one, *other), (*other, *one)):
+            with pytest.raises(ValueError, match="event counts"):
+                dvs_ed_percent(*counts)

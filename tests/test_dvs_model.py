@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from contextlib import closing
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, cast
 
@@ -24,7 +25,7 @@ from uavaccel.sim.world import World
 from uavaccel.suites.dp2 import Dp2
 from uavaccel.suites.evaluate import EvaluateConfig, Evaluation
 from uavaccel.units import to_ns
-from uavaccel.vision import dvs
+from uavaccel.vision import dvs, noise
 from uavaccel.vision.dvs import PRESETS, EventCounter, count_events, make_sensor, sensor_from_maps
 
 SHAPE = (144, 256)
@@ -45,20 +46,22 @@ Event = tuple[float, int]
 
 
 class Pixel:
-    """v2e's pixel without random numbers: a log intensity remembered, and an event for each threshold passed."""
+    """v2e's pixel: a log intensity remembered, and an event for each threshold passed; its random numbers are given."""
 
-    def __init__(self, parameters: dvs.DvsParameters, up: float, down: float, leak: float, first: int) -> None:
-        self.parameters, self.up, self.down, self.leak = parameters, up, down, leak
+    def __init__(self, parameters: dvs.DvsParameters, maps: NDArray[np.float64], is_hot: bool, first: int) -> None:
+        self.parameters, self.is_hot = parameters, is_hot
+        self.up, self.down, self.leak = maps.tolist()
         self.base = self.filtered = lin_log(first)
         self.last_s = -math.inf
 
-    def change(self, intensity: int, dt_s: float) -> int:
+    def change(self, intensity: int, dt_s: float, normal: float) -> int:
         """Whole thresholds between what is seen and what is remembered; the last frame was `dt_s` ago."""
         p, weight = self.parameters, 1.0
         if p.cutoff_hz > 0:
             weight = min(1.0, (intensity + 20) / 275 * dt_s * 2 * math.pi * p.cutoff_hz)
         self.filtered += weight * (lin_log(intensity) - self.filtered)
-        self.base -= dt_s * p.leak_rate_hz * self.leak * self.up
+        leak_hz = p.leak_rate_hz * self.leak * (1 - p.leak_jitter_fraction * normal)
+        self.base -= dt_s * (leak_hz + 10.0 * self.is_hot) * self.up
         difference = self.filtered - self.base
         return math.floor(difference / self.up) if difference > 0 else -math.floor(-difference / self.down)
 
@@ -73,42 +76,51 @@ class Pixel:
             events.append((float(stamp_s), sign))
         return events
 
+    def shot(self, intensity: int, dt_s: float, draw: float) -> list[int]:
+        """The signs of a frame's noise, after which what is seen is remembered."""
+        p = self.parameters
+        chance = p.shot_noise_rate_hz / 2 * dt_s * (1 - 0.75 * (intensity + 20) / 275)
+        on = draw > 1 - chance * p.positive_threshold / self.up
+        signs = [1] * on + [-1] * (draw < chance * p.negative_threshold / self.down)
+        self.base = self.filtered if signs else self.base
+        return signs
 
-@pytest.mark.parametrize("start_s", [0.0, 2.0])
-@pytest.mark.parametrize(
-    "changed",
-    [
-        {},
-        {"cutoff_hz": 3.0},
-        {"leak_rate_hz": 0.7},
-        {"refractory_s": 0.1},
-        {"cutoff_hz": 12.0, "leak_rate_hz": 2.0, "refractory_s": 0.03},
-    ],
-)
-def test_every_event_of_a_pixel(changed: dict[str, float], start_s: float) -> None:
-    """No event comes before the first frame, so that none is too early after another one."""
-    parameters, rng, times_s = replace(EXACT, **changed), np.random.default_rng(11), start_s + TIMES_S
+
+NOISE = {
+    "cutoff_hz": 6.0, "leak_rate_hz": 1.5, "leak_jitter_fraction": 0.5, "refractory_s": 0.0613,
+    "shot_noise_rate_hz": 6.0, "hot_share": 0.3, "positive_threshold": 0.3,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_every_event_of_a_pixel(seed: int) -> None:
+    """With some of what a sensor may have; no event comes before the first frame: none is too early after one."""
+    rng = np.random.default_rng(seed)
+    parameters = replace(EXACT, **{key: most for key, most in NOISE.items() if rng.random() < 0.6})
+    times_s = 2.0 * (seed % 2) + TIMES_S
     frames = rng.integers(0, 256, (len(times_s), 5, 6), np.uint8)
-    up, down, leak = rng.uniform((0.1, 0.3, 0.5), (0.2, 0.5, 2.0), (5, 6, 3)).transpose(2, 0, 1)
-    sensor = dvs.sensor_from_maps(parameters, up, down, leak)
-    state = dvs.init_state(sensor, frames[0], times_s[0])
-    places = list(np.ndindex(5, 6))
+    maps = rng.uniform((0.1, 0.3, 0.5), (0.2, 0.5, 2.0), (5, 6, 3))
+    hot = rng.random((5, 6)) < parameters.hot_share
+    sensor = dvs.sensor_from_maps(parameters, *maps.transpose(2, 0, 1))._replace(hot=hot if hot.any() else None)
+    state = dvs.init_state(sensor, frames[0], times_s[0], seed)
     pixels = {
-        place: Pixel(parameters, float(up[place]), float(down[place]), float(leak[place]), int(frames[0][place]))
-        for place in places
+        place: Pixel(parameters, maps[place], bool(hot[place]), int(frames[0][place])) for place in np.ndindex(5, 6)
     }
-    for before_s, now_s, frame in zip(times_s, times_s[1:], frames[1:], strict=False):
-        state, on, off, events = dvs.step_with_events(sensor, state, frame, float(now_s))
-        counts = {place: pixels[place].change(int(frame[place]), now_s - before_s) for place in places}
+    for number, (before_s, now_s) in enumerate(pairwise(times_s.tolist()), 1):
+        frame, dt_s = frames[number], now_s - before_s
+        normals = noise.normal((5, 6), seed, number, noise.LEAK_JITTER)
+        draws = noise.uniform((5, 6), seed, number, noise.SHOT_NOISE)
+        state, on, off, events = dvs.step_with_events(sensor, state, frame, now_s)
+        counts = {place: each.change(int(frame[place]), dt_s, float(normals[place])) for place, each in pixels.items()}
         most = max(1, *(abs(count) for count in counts.values()))
-        stamps_s = before_s + (now_s - before_s) * np.arange(1, most + 1) / most
-        refractory_s = parameters.refractory_s if parameters.refractory_s > (now_s - before_s) / most else 0.0
-        for place in places:
-            expected = pixels[place].emit(counts[place], stamps_s, refractory_s)
+        stamps_s = before_s + dt_s * np.arange(1, most + 1) / most
+        refractory_s = parameters.refractory_s if parameters.refractory_s > dt_s / most else 0.0
+        for place, pixel in pixels.items():
+            expected = pixel.emit(counts[place], stamps_s, refractory_s)
+            expected += [(now_s, sign) for sign in pixel.shot(int(frame[place]), dt_s, float(draws[place]))]
             here = events[(events[:, 2] == place[0]) & (events[:, 1] == place[1])]
             np.testing.assert_allclose(here[:, [0, 3]], np.array(expected).reshape(-1, 2), rtol=1e-6)
-            assert on[place] - off[place] == sum(sign for _, sign in expected)
-            assert on[place] * off[place] == 0
+            assert [on[place], off[place]] == [sum(each == sign for _, each in expected) for sign in (1, -1)]
         assert state.time_s == now_s
 
 
@@ -135,50 +147,6 @@ def test_leak_rates_spread_by_decades_around_one() -> None:
     decades = np.log10(sensor.leak_rate_factor)
     assert decades.std() == pytest.approx(0.25, rel=0.03)
     assert decades.mean() == pytest.approx(0.0, abs=4 * 0.25 / PIXELS**0.5)
-
-
-def test_leak_jitters_by_its_fraction_and_anew_in_each_frame() -> None:
-    """The memorised intensity falls by leak rate x dt positive thresholds, so that ON events come of nothing."""
-    parameters = replace(EXACT, positive_threshold=0.3, leak_rate_hz=0.5, leak_jitter_fraction=0.2)
-    sensor = dvs.make_sensor(parameters, SHAPE, seed=0)
-    state, falls = dvs.init_state(sensor, grey(90), noise_seed=3), []
-    for t_s, dt_s in ((0.25, 0.25), (0.75, 0.5)):
-        last, (state, _, _) = state.base_log, dvs.step(sensor, state, grey(90), t_s)
-        falls.append((last - state.base_log) / (dt_s * 0.5 * 0.3))
-        assert falls[-1].mean() == pytest.approx(1.0, abs=4 * 0.2 / PIXELS**0.5)
-        assert falls[-1].std() == pytest.approx(0.2, rel=0.03)
-    assert abs(np.corrcoef(falls[0].ravel(), falls[1].ravel())[0, 1]) < 0.03
-
-
-@pytest.mark.parametrize(("level", "dt_s"), [(0, 0.02), (0, 0.1), (0, 0.8), (100, 0.1), (255, 0.1)])
-def test_shot_noise_falls_with_brightness_and_is_on_as_often_as_off(level: int, dt_s: float) -> None:
-    """Also where most pixels have both in one frame."""
-    sensor = dvs.make_sensor(replace(EXACT, shot_noise_rate_hz=2.0), SHAPE, seed=0)
-    _, on, off = dvs.step(sensor, dvs.init_state(sensor, grey(level)), grey(level), dt_s)
-    expected = PIXELS * 2.0 / 2 * dt_s * (1 - 0.75 * (level + 20) / 275)
-    assert on.sum() == pytest.approx(expected, abs=4 * expected**0.5)
-    assert off.sum() == pytest.approx(expected, abs=4 * expected**0.5)
-
-
-def test_shot_noise_hits_other_pixels_in_each_frame() -> None:
-    sensor = dvs.make_sensor(replace(EXACT, shot_noise_rate_hz=1.0), SHAPE, seed=0)
-    state, hit = dvs.init_state(sensor, grey(0)), []
-    for t_s in (0.2, 0.4):
-        state, on, off = dvs.step(sensor, state, grey(0), t_s)
-        hit.append((on + off) > 0)
-    share = hit[0].mean()
-    assert (hit[0] & hit[1]).mean() == pytest.approx(share**2, rel=0.2)
-
-
-def test_shot_noise_follows_each_polaritys_own_threshold() -> None:
-    """The nominal threshold over the pixel's: half of it doubles the rate."""
-    up, down = np.full((2, *SHAPE), 0.2)
-    up[:, :128], down[:, 128:] = 0.1, 0.4
-    sensor = dvs.sensor_from_maps(replace(EXACT, shot_noise_rate_hz=1.0), up, down)
-    _, on, off = dvs.step(sensor, dvs.init_state(sensor, grey(0)), grey(0), 0.1)
-    once = PIXELS / 2 * 0.05 * (1 - 0.75 * 20 / 275)
-    for mask, factor in ((on[:, :128], 2), (on[:, 128:], 1), (off[:, :128], 1), (off[:, 128:], 0.5)):
-        assert mask.sum() == pytest.approx(factor * once, abs=4 * (factor * once) ** 0.5)
 
 
 def test_shot_noise_is_listed_at_the_last_stamp_where_it_hit() -> None:

@@ -445,10 +445,13 @@ def kernels_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
 HOLD_TO_COME: Keys = {
     "mediation": {"gap_s": 0.3, "image_age_s": 0.25, "start_speed": 0.0},
     "t_move_s": 0.3,
-    "t_sample_s": 0.3,
+    "t_sample_s": 0.1,
     "max_commands": 5,
 }
-"""Position hold sets in between the end of a gap, whose motion is undone, and the command that comes late."""
+"""Position hold sets in between the end of a gap, whose motion is undone, and the command that comes late.
+
+It comes within the last of three slices.
+"""
 
 QUICK: Keys = {
     "quantiles": [0.0, 1.0],

@@ -148,6 +148,44 @@ def test_geographic_places() -> None:
     assert place(api)[0] == pytest.approx(11.13, abs=0.5)
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_a_command_in_other_words_is_the_same_flight(seed: int) -> None:
+    """Of the second vehicle, whose frame, place, attitude and manner of turning are its own."""
+    rng = np.random.default_rng(seed)
+    api, forward_only = hovering(), seed % 2
+    call(api, "simAddVehicle", "B", "SimpleFlight", pose(rng.uniform(5.0, 9.0), 6.0, -3.0))
+    ahead, right, north, east = rng.uniform(-3.0, 3.0, 4)
+    down, yaw, z = rng.uniform(-1.0, 1.0), rng.uniform(-math.pi, math.pi), rng.uniform(-9.0, -7.0)
+    there = pose(north, east, -5.0, w_val=math.cos(yaw / 2), z_val=math.sin(yaw / 2))
+    velocity = (ahead * math.cos(yaw) - right * math.sin(yaw), ahead * math.sin(yaw) + right * math.cos(yaw))
+    how = (forward_only, {"is_rate": seed == 2, "yaw_or_rate": rng.uniform(-90.0, 90.0)})
+    pace = (rng.uniform(1.0, 5.0), 9.0)
+    way, place_m = (*pace, *how, 2.5, 0.5), (ahead, right, z)
+    home = GeoPoint(**call(api, "getHomeGeoPoint", "B"))
+    gps = GeoPoint(home.latitude + 3e-5, home.longitude - 2e-5, home.altitude - z)
+    climb = (0.5, 9.0, STRAIGHT, AUTO, ADAPTIVE)
+    for one, other in (
+        (("moveByVelocityBodyFrame", ahead, right, down, 1.0, *how), ("moveByVelocity", *velocity, down, 1.0, *how)),
+        (("moveByVelocityZBodyFrame", ahead, right, z, 1.0, *how), ("moveByVelocityZ", *velocity, z, 1.0, *how)),
+        (("moveOnPath", [point(*place_m)], *way), ("moveToPosition", *place_m, *way)),
+        (("moveToGPS", *gps, *way), ("moveToPosition", *ned_of(gps, home), *way)),
+        (("moveToZ", z, *pace, *how[1:], AUTO, 0.5), ("moveToPosition", north, east, z, *pace, 0, *how[1:], AUTO, 0.5)),
+        (("takeoff", 9.0), ("moveToZ", -7.0, *climb)),
+        (("goHome", 9.0), ("moveToPosition", 0.0, 0.0, 0.0, *climb[:2], 0, *climb[2:])),
+    ):
+        ends = []
+        for method, *parameters in (one, other):
+            call(api, "reset")
+            call(api, "enableApiControl", True, "B")
+            call(api, "simSetVehiclePose", there, True, "B")
+            call(api, method, *parameters, "B")
+            go_on(api, 0.3)
+            goal = api.scenery.vehicle("B").state["goal"]
+            ends.append([*goal, *place(api, "B"), *api.scenery.pilot("B").kinematics().orientation_wxyz])
+        assert ends[0] == pytest.approx(ends[1], abs=1e-6), one
+        assert not np.allclose(ends[0][:3], 0.0)
+
+
 def moving(yaw_deg: float = 0.0, down_m_s: float = 0.0, turning_rad_s: float = 0.0) -> Kinematics:
     half = math.radians(yaw_deg) / 2
     turned = (math.cos(half), 0.0, 0.0, math.sin(half))

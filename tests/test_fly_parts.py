@@ -7,6 +7,7 @@ import json
 import os
 import random
 import signal
+import subprocess
 import sys
 import sysconfig
 import threading
@@ -14,6 +15,7 @@ from contextlib import nullcontext
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
 from typing import Any, cast
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -178,7 +180,10 @@ def test_calls_and_answers_are_logged_with_their_times(tmp_path: Path) -> None:
 
 
 def test_in_wall_time_an_answer_is_logged_when_it_has_come(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Not when it is asked for; and a flight that is over, or whose server has gone, takes no call."""
+    """Not when it is asked for, and of every client from the flight's beginning.
+
+    A flight that is over, or whose server has gone, takes no call.
+    """
     clock, over = VirtualClock(), threading.Event()
 
     def arrive(future: Future) -> None:
@@ -186,17 +191,22 @@ def test_in_wall_time_an_answer_is_logged_when_it_has_come(tmp_path: Path, monke
         future.answer("no" if future.method == "refused" else None, future.method)
 
     server: Any = SimpleNamespace(call_async=lambda method, *params: Future(method, arrive))
-    monkeypatch.setattr(wall, "SocketConnection", lambda *address: server)
+    opened = Mock(return_value=server)
+    monkeypatch.setattr(wall, "SocketConnection", opened)
     monkeypatch.setattr(wall, "MonotonicClock", lambda: clock)
     log, watch = MessageLog(tmp_path), SimpleNamespace(lost="", is_lost_soon=lambda: True)
     clock.charge(1000)
-    connection = wall.LoggedConnection(1, 1.0, log, cast(Any, watch), over)
-    clock.charge(30)
+    connections = []
+    for timeout_s in (1.0, 0.5):
+        connections.append(wall.LoggedConnection(7, timeout_s, log, cast(Any, watch), over, begun_ns=1000))
+        clock.charge(15)
+    connection, later = connections
+    assert [each.args for each in opened.mock_calls] == [("127.0.0.1", 7, 1.0), ("127.0.0.1", 7, 0.5)]
     sent = connection.call_async("ping", 1.5)
     clock.charge(10)
     assert sent.get() == "ping"
     with pytest.raises(RpcError, match="no"):
-        connection.call("refused")
+        later.call("refused")
     server.call_async = lambda *call: (_ for _ in ()).throw(ConnectionError())
     with pytest.raises(FlightOver):
         connection.call_async("late")
@@ -213,42 +223,30 @@ def test_in_wall_time_an_answer_is_logged_when_it_has_come(tmp_path: Path, monke
     ]
 
 
-@pytest.mark.parametrize(
-    ("text", "status", "said"),
-    [
-        ("import sys\nsys.exit()", 0, ""),
-        ("import sys\nsys.exit(7)", 7, ""),
-        ("import sys\nsys.exit('no more')", 1, "no more\n"),
-        ("raise SystemExit(True)", 1, ""),
-        ("import beside, sys\nassert beside.HERE and (__name__, sys.argv[1:]) == ('__main__', ['a', 'b c'])", 0, ""),
-    ],
-)
+@pytest.mark.parametrize("text", [
+    *("sys.exit()", "sys.exit(7)", "sys.exit('no more')", "raise SystemExit(True)", "def fall(): int('x')\nfall()"),
+    "print(__name__, __file__, sys.argv, sys.path[0], file=sys.stderr)", "os.chdir('/')\nimport beside\n1 / 0",
+])  # fmt: skip
 def test_a_script_runs_as_python_runs_it(
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-    text: str,
-    status: int,
-    said: str,
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], text: str
 ) -> None:
-    """With its own folder first among those of modules, wherever it is started from."""
-    (tmp_path / "beside.py").write_text("HERE = True\n")
-    script = tmp_path / "script.py"
-    script.write_text(text)
+    """Started from elsewhere, wherever it goes then."""
+    (tmp_path / "beside.py").touch()
+    (tmp_path / "script.py").write_text(f"import os, sys\n{text}\n")
     (elsewhere := tmp_path / "elsewhere").mkdir()
     monkeypatch.chdir(elsewhere)
     monkeypatch.setattr(sys, "argv", ["pytest"])
     monkeypatch.setattr(sys, "path", ["", *sys.path])
     monkeypatch.setitem(sys.modules, "__main__", sys.modules["__main__"])
     monkeypatch.delitem(sys.modules, "beside", raising=False)
+    python = subprocess.run([sys.executable, "../script.py", "a", "b c"], capture_output=True, text=True, check=False)
     outlived: list[bool] = []
     try:
-        result = run_script(script, ("a", "b c"), lambda: outlived.append(True))
+        result = run_script(Path("../script.py"), ("a", "b c"), lambda: outlived.append(True))
     finally:
         sys.modules.pop("beside", None)
-    assert result[:2] == (status, True)
-    assert (sys.path[0], sys.argv) == (str(tmp_path), [str(script), "a", "b c"])
-    assert (outlived, capsys.readouterr().err) == ([True], said)
+    assert (outlived, result.finished) == ([True], True)
+    assert (result.status, capsys.readouterr().err) == (python.returncode, python.stderr)
 
 
 @pytest.mark.parametrize("error", [FlightOver, ValueError])
@@ -329,6 +327,13 @@ def test_a_scripts_programs_find_our_client_first(
     assert (dict(os.environ), sys.path) == (before, path)
     with environment.client_for_children(None, port):
         assert (dict(os.environ), sys.path) == (before, path)
+
+
+def test_a_scripts_programs_fly_in_its_flight_whatever_address_they_name(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("uavaccel.airsim.connection.SocketConnection", opened := Mock())
+    monkeypatch.setenv(environment.PORT, "8123")
+    environment._connect("10.0.0.1", 41451, 2.5)
+    opened.assert_called_once_with("127.0.0.1", 8123, 2.5)
 
 
 def test_a_refusal_after_the_flight_is_ignored() -> None:

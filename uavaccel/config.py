@@ -199,7 +199,8 @@ def validate(
     except ValidationError as error:
         first = _leading(error)
         key = _dotted(mapping, first)
-        giver = _giver(dotted_keys(first["input"], key) if key else (), first["msg"], given or {}, source)
+        held = key.rpartition(".")[0] if first["type"] == "missing" else key  # a missing key's input holds the others
+        giver = _giver(dotted_keys(first["input"], held) if held else (), first["msg"], given or {}, source)
         raise UserError(f"{giver}: {_explain(cls, mapping, error)}") from error
     except UserError as error:  # raised by a validator
         giver, said = _giver((), str(error), given or {}, source), str(error)

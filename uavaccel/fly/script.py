@@ -162,10 +162,10 @@ def _still_flying_at_exit() -> Iterator[None]:
 
 def _run(code: CodeType, path: Path, arguments: tuple[str, ...]) -> tuple[int, str | None]:
     main = ModuleType("__main__")
-    main.__file__, main.__builtins__ = str(path), __builtins__  # type: ignore[attr-defined]
+    main.__file__, main.__builtins__ = code.co_filename, __builtins__  # type: ignore[attr-defined]
     sys.modules["__main__"] = main
     sys.argv[:] = [str(path), *arguments]
-    sys.path[0:1] = [str(path.absolute().parent)]
+    sys.path[0:1] = [str(path.resolve().parent)]
     try:
         exec(code, vars(main))
     except SystemExit as end:
@@ -215,7 +215,7 @@ def compiled(path: Path) -> CodeType:
     except OSError as error:
         raise UserError(f"{path}: cannot be read: {error.strerror}") from None
     try:
-        return compile(source, str(path), "exec")
+        return compile(source, str(path.absolute()), "exec")
     except (SyntaxError, ValueError) as error:
         line = f":{error.lineno}" if isinstance(error, SyntaxError) and error.lineno else ""
         raise UserError(f"{path}{line}: not Python: {error.args[0]}") from None

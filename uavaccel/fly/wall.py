@@ -44,18 +44,19 @@ main()
 
 
 class LoggedConnection:
-    """A connection over TCP that logs its messages with the wall time since the start of the flight.
+    """A connection over TCP that logs its messages with the wall time since `begun_ns`, when the flight began.
 
     A forked process, whose log is abandoned, opens a connection of its own. Calls raise FlightOver once the server has
     gone, or the flight is `over`.
     """
 
-    def __init__(self, port: int, timeout_s: float, log: MessageLog, watch: Watch, over: threading.Event) -> None:
+    def __init__(
+        self, port: int, timeout_s: float, log: MessageLog, watch: Watch, over: threading.Event, begun_ns: int
+    ) -> None:
         self._open = partial(SocketConnection, LOOPBACK, port, timeout_s)
         self._connection, self._pid = self._open(), os.getpid()
         self._log, self._clock, self._lock = log, MonotonicClock(), threading.Lock()
-        self._watch, self._over = watch, over
-        self._start_ns = self._clock.now_ns()
+        self._watch, self._over, self._begun_ns = watch, over, begun_ns
 
     def call(self, method: str, *params: object) -> Received:
         return self.call_async(method, *params).get()
@@ -93,7 +94,7 @@ class LoggedConnection:
         self._connection.close()
 
     def _now_ns(self) -> int:
-        return self._clock.now_ns() - self._start_ns
+        return self._clock.now_ns() - self._begun_ns
 
 
 class WallFlight:
@@ -119,10 +120,11 @@ class WallFlight:
             recorder = SocketConnection(LOOPBACK, port, ANSWER_S)
             recorder.call("startRecording")
 
+            begun_ns = MonotonicClock().now_ns()
             connections, held = WeakSet[LoggedConnection](), list[LoggedConnection]()
 
             def connect(host: str, port_of_airsim: int, timeout_s: float) -> LoggedConnection:
-                made = LoggedConnection(port, timeout_s, self._log, watch, self._over)
+                made = LoggedConnection(port, timeout_s, self._log, watch, self._over, begun_ns)
                 connections.add(made)
                 return made
 

@@ -71,6 +71,7 @@ class Recorder:
                 raise ValueError("recordings are begun too often: each has a folder of its own; wait for a second")
             self._folders += 1
         self.stop()
+        self._last_pose.clear()
         if self._folder is not None:
             with naming(self._folder):
                 here = _new_folder(self._folder)

@@ -91,8 +91,9 @@ class Client:
         call.expected_ns = self._wall_after(duration_ns)
         self.transport.wait(call)
         state = decode_state(call.outcome())
-        if self._moving is not None:
-            self._moving.outcome()  # nobody joins TCSC's command; one that was refused has been answered by now
+        moving, self._moving = self._moving, None
+        if moving is not None:
+            moving.outcome()  # nobody joins TCSC's command; one that was refused has been answered by now
         self.transport.known.state = state
         return state
 
@@ -109,7 +110,7 @@ class Client:
 
     def start_game(self, clock_speed: float, height_m: float = START_HEIGHT_M) -> Kinematics:
         """Start a game: a settled hover at NED z `height_m`, paused, with API control and recording on."""
-        self.clock_speed = float(clock_speed)
+        self.clock_speed, self._moving = float(clock_speed), None
         return decode_state(self.call("uavaccelStartGame", clock_speed, height_m))
 
     def set_lane(self, lane: object) -> None:
