@@ -252,9 +252,19 @@ def _field_docstrings(cls: type[Config]) -> dict[str, str]:
 
 
 def _leading(error: ValidationError) -> ErrorDetails:
-    """Return the most helpful error: an unknown key, which may be why another is missing, or the innermost one."""
+    """Return the most helpful error: an unknown key, which may be why another is missing, or the innermost one.
+
+    A key that one of a union's mappings knows, with another value, is not unknown.
+    """
     errors = error.errors(include_url=False)
-    return min(errors, key=lambda each: (each["type"] != "extra_forbidden", -len(each["loc"])))
+    lacking = ("extra_forbidden", "missing")
+    known = {(each["loc"][0], each["loc"][-1]) for each in errors if each["type"] not in lacking and each["loc"]}
+
+    def order(each: ErrorDetails) -> tuple[bool, int, bool]:
+        unknown = each["type"] == "extra_forbidden" and (each["loc"][0], each["loc"][-1]) not in known
+        return not unknown, -len(each["loc"]), each["type"] in lacking
+
+    return min(errors, key=order)
 
 
 def _explain(cls: type[Config], mapping: Mapping[str, object], error: ValidationError) -> str:
@@ -334,6 +344,8 @@ def suggested_key(tree: KeyTree, path: Sequence[str], unknown: str) -> str:
     here = tree
     for part in path:
         here = here.get(part, here)  # list indices and names of entries have no keys of their own
+    if unknown in here:
+        return "it does not go with those beside it"
     elsewhere: dict[str, list[str]] = {}
     for dotted in dotted_keys(tree):
         parts = dotted.split(".")
