@@ -218,7 +218,7 @@ def test_its_schema_has_its_keys(here: Path) -> None:
     ("learning_rate", "did you mean 'options.learning_rate'?"),
     ("options.learning_rte", "did you mean 'learning_rate'?"),
     ("clock_sped", "did you mean 'task.clock_speed'?"),
-    ("task.difficulty.wind", "did you mean 'wind_m_s'?"),
+    ("task.difficulty.wind", "did you mean 'task.difficulty.wind_m_s'?"),
     ("game", "did you mean 'games'?"),
 ])  # fmt: skip
 def test_an_unknown_key_is_looked_for_at_every_level(key: str, hint: str, said: Callable[[str], str]) -> None:
@@ -226,7 +226,7 @@ def test_an_unknown_key_is_looked_for_at_every_level(key: str, hint: str, said: 
 
 
 def test_unknown_keys_of_ones_own_task_are_found_too(here: Path, said: Callable[[str], str]) -> None:
-    for key, hint in {"near_m": "task.near_m", "task.near": "near_m", "task.rollout": "options.rollout"}.items():
+    for key, hint in {"near_m": "task.near_m", "task.near": "task.near_m", "task.rollout": "options.rollout"}.items():
         line = said(f"train {yaml_of(here, 'Free')} --dry-run --set {key}=1")
         assert line == f"--set: unknown key '{key}'; did you mean '{hint}'?"
 
