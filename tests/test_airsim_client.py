@@ -49,6 +49,17 @@ def test_flies_and_reads_the_state_as_airsims_types(client: airsim.MultirotorCli
     assert client.simGetVehiclePose().orientation.get_length() == pytest.approx(1.0)
 
 
+def test_a_callback_is_called_while_the_client_waits_for_something_else(client: airsim.MultirotorClient) -> None:
+    """Within it the client can be called."""
+    told: list[Any] = []
+    future = client.moveByVelocityAsync(0, 0, 0, 0.05)
+    future.attach_callback(lambda done: told.append((done, client.ping())))
+    client.simContinueForTime(0.3)
+    assert told == [(future, True)]
+    future.join()
+    assert len(told) == 1
+
+
 def test_an_error_is_raised_by_get_and_told_once_by_join(
     client: airsim.MultirotorClient, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -114,6 +125,11 @@ def test_an_answer_that_does_not_come() -> None:
         patience.start()
         with pytest.raises(TimeoutError, match=r"^ping: no answer within 0\.05 s$"):
             client.ping()
+        told: list[Any] = []
+        future = client.client.call_async("ping")
+        future.attach_callback(told.append)
+        future.join()  # as AirSim's, it raises nothing
+        assert (told, future.error) == ([future], "no answer within 0.05 s")
         patience.cancel()
 
 

@@ -57,6 +57,8 @@ def test_names_are_numbered_and_there_is_room_again(wire: AirSimWire) -> None:
     for name, scale in (("Cube", 0.0), ("Brick", 1.0)):  # what is refused takes no room
         with pytest.raises(rpc.RpcError, match=r"scale must be positive|no objects with name Brick"):
             wire.call("simSpawnObject", "box", name, pose(30.0, 30.0, -20.0), point(*[scale] * 3), False, False)
+    taken = wire.call("listVehicles")[0]
+    assert wire.call("simDestroyObject", spawn(wire, taken, "Cube", (30.0, 30.0, -20.0))), "it is no vehicle"
     names = ["box", "box", "box", "hut7", "hut"]
     spawned = [spawn(wire, name, "Cube", (30.0, 30.0, -20.0)) for name in names]
     assert spawned == ["box", "box1", "box2", "hut7", "hut8"]

@@ -5,6 +5,7 @@ from __future__ import annotations
 from contextlib import suppress
 from itertools import chain
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -67,13 +68,18 @@ def test_each_sample_has_its_images(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("on_move", "times_ms"), [(False, [0, 50, 100, 120, 170, 220]), (True, [0, 170, 220])])
-def test_after_a_reset_each_sample_has_its_images_again(tmp_path: Path, on_move: bool, times_ms: list[int]) -> None:
-    """On the new grid of sampling times, which begins with the reset; those of lines left out are of none."""
+@pytest.mark.parametrize("again", [["reset"], ["uavaccelStartGame", 1.0]])
+def test_after_a_reset_each_sample_has_its_images_again(
+    tmp_path: Path, on_move: bool, times_ms: list[int], again: list[Any]
+) -> None:
+    """On the new sampling grid, which begins with the reset or the game; those of lines left out are of none."""
     wire = recorder(tmp_path, RecordOnMove=on_move)
     wire.call("startRecording")
     wire.fly(0.12)
-    wire.call("reset")
+    wire.call(*again)
+    wire.call("simPause", False)
     wire.call("enableApiControl", True, "")
+    wire.fly(0.02)
     wire.call("moveByVelocity", 3.0, 0.0, -3.0, 5.0, 0, {"is_rate": True, "yaw_or_rate": 0.0}, "")
     wire.fly(0.11)
     wire.call("stopRecording")

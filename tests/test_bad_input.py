@@ -79,7 +79,8 @@ latency.platform.faults = {dropped: .9, stalled: .9} | {dropped: .5, stalled: .3
 suite = dp9 | [dp1] | {} | 3 | no_such_module:Suite | os:path | null
 """,
     "run dp2 --set": """
-lane = -1 | [1] | {seed: -1} | {obstacles: 3} | 1.5; lane.seed = 3; path = [] | [[1]] | [[1e308,0]] | straight
+lane = -1 | [1] | {seed: -1} | {seed: 1, obstacles: []} | {obstacles: 3} | 1.5; lane.seed = 3
+path = [] | [[1]] | [[1e308,0]] | straight
 height_m = 0 | 3 | -1e9 | -1e308 | .nan; t_move_s = 0 | 1e-9 | 1e308 | 0.0033; t_sample_s = 0 | -1 | 0.0033 | 1e308
 dvs_rate_hz = 0 | 333.7 | 1e9 | -1; dvs_preset = loud; sensor_seed = -1; guard.max_retries = -1 | 1000000000000
 guard.max_change = -0.1 | .nan; guard.min_bright = 3; perturbation.share = 1.1 | -1; perturbation.kinds = [] | [burnt]

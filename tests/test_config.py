@@ -72,7 +72,7 @@ def test_a_valid_mapping_becomes_a_frozen_configuration() -> None:
     [
         ({}, "my.yaml: key 'games' is missing"),
         ({"game": 2}, "my.yaml: unknown key 'game'; did you mean 'games'?"),
-        ({"games": 2, "camera": {"rate": 3}}, "my.yaml: unknown key 'camera.rate'; did you mean 'rate_hz'?"),
+        ({"games": 2, "camera": {"rate": 3}}, "my.yaml: unknown key 'camera.rate'; did you mean 'camera.rate_hz'?"),
         ({"games": 2, "camera": {"zoom": 3}}, "my.yaml: unknown key 'camera.zoom'; known: rate_hz"),
         ({"games": 2, "camera": {"rate_hz": -1}}, "my.yaml: camera.rate_hz = -1: should be greater than 0"),
         ({"games": 2, "camera": 3}, "my.yaml: camera = 3: should be a mapping"),

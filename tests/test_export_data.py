@@ -7,6 +7,7 @@ import hashlib
 import json
 import os
 import sys
+from io import StringIO
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, NamedTuple
@@ -16,6 +17,7 @@ import gymnasium
 import h5py
 import numpy as np
 import pytest
+from rich.console import Console
 from scipy.spatial.transform import Rotation
 
 from tests.golden import assert_as_recorded
@@ -110,7 +112,9 @@ def vectors(entries: list[tuple[int, Any]], *keys: str) -> np.ndarray:
 # --- MCAP -------------------------------------------------------------------------------------------------------
 
 
-def test_a_game_of_dp1_is_logged_as_its_arrays_have_it(dp1: RunDirectory, tmp_path: Path) -> None:
+def test_a_game_of_dp1_is_logged_as_its_arrays_have_it(
+    dp1: RunDirectory, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     export(str(dp1.path), mcap=tmp_path / "logs")
     rows = dp1.rows()
     assert sorted(path.name for path in (tmp_path / "logs").iterdir()) == sorted(f"{row['case']}.mcap" for row in rows)
@@ -135,8 +139,10 @@ def test_a_game_of_dp1_is_logged_as_its_arrays_have_it(dp1: RunDirectory, tmp_pa
         assert log.metadata["config_sha256"] == file_sha256(dp1.path / "config.yaml")
         assert json.loads(log.metadata["row"]) == row
 
-    case = row["case"]  # alone, again: the same bytes
+    case = row["case"]  # alone, again, on a terminal: the same bytes
+    monkeypatch.setattr("uavaccel.cli.terminal.console", Console(file=(shown := StringIO()), force_terminal=True))
     export(str(dp1.path), mcap=tmp_path / "one.mcap", case=case)
+    assert "the files" in shown.getvalue()
     assert read(tmp_path / "one.mcap").metadata["case"] == case
     assert (tmp_path / "one.mcap").read_bytes() == (tmp_path / "logs" / f"{case}.mcap").read_bytes()
 

@@ -61,9 +61,9 @@ def flight_in() -> Iterator[FlightMaker]:
         yield make
 
 
-def client_of(flight: SimulatedFlight) -> MultirotorClient:
-    with patch("uavaccel.airsim.connection._connect", lambda host, port, timeout_s: flight):
-        return MultirotorClient()
+def client_of(flight: SimulatedFlight, timeout_s: float = 3600) -> MultirotorClient:
+    with patch("uavaccel.airsim.connection._connect", flight._connect):
+        return MultirotorClient(timeout_value=timeout_s)
 
 
 PACED = """
@@ -369,6 +369,53 @@ def test_a_wait_without_an_end_is_worth_a_line(
         client.moveByVelocityAsync(0, 0, 0, 3e38).join()
     line = "the script has waited 20 simulated s for moveByVelocity; the vehicle is at 0.0 0.0 "
     assert capsys.readouterr().err.count(line) == lines
+
+
+def test_an_answer_is_late_as_a_clients_timeout_has_it(
+    flight_in: FlightMaker, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A join goes on, as AirSim's; get, and a call that waits, raise."""
+    flight = flight_in(tmp_path)
+    client = client_of(flight, 1.5)
+    client.enableApiControl(True)
+    future = client.moveByVelocityAsync(0, 0, 0, 4)
+    told: list[Any] = []
+    future.attach_callback(lambda late: told.append((late.error, flight._clock.now_ns())))
+    future.join()
+    assert told == [("no answer within 1.5 s", 1_500_000_000)]
+    assert capsys.readouterr().err == "airsim: moveByVelocity failed: no answer within 1.5 s\n"
+    with pytest.raises(TimeoutError, match=r"^moveByVelocity: no answer within 1\.5 s$"):
+        future.get()
+    with pytest.raises(TimeoutError, match="simContinueForTime"):
+        client.simContinueForTime(9.0)
+    assert client_of(flight, float("inf")).moveByVelocityAsync(0, 0, 0, 4).get() is True
+
+
+@pytest.mark.parametrize("timing", ["lockstep", "virtual"])
+def test_a_callback_is_called_while_the_client_waits_for_something_else(
+    flight_in: FlightMaker, tmp_path: Path, timing: str
+) -> None:
+    """At the answer's time, in their order, within which the client can be called; not while the script sleeps."""
+    flight = flight_in(tmp_path, timing=timing)
+    client, other = client_of(flight), client_of(flight)
+    told: list[Any] = []
+
+    def tell(future: Any) -> None:
+        told.append((future.method, future.result, flight._clock.now_ns() / 1e9))
+        client.ping()
+
+    client.enableApiControl(True)
+    client.rotateByYawRateAsync(10, 1).attach_callback(tell)
+    flight.pass_time(0.25)
+    client.moveByVelocityAsync(1, 0, 0, 0.5).attach_callback(tell)
+    other.moveByVelocityAsync(1, 0, 0, 1).join()
+    assert told == []
+    client.ping()
+    assert [each[:2] for each in told] == [("rotateByYawRate", False), ("moveByVelocity", False)]
+    client.moveByVelocityAsync(1, 0, 0, 0.5).attach_callback(tell)
+    client.simContinueForTime(2.0)
+    assert told[2][:2] == ("moveByVelocity", True)
+    assert told[2][2] == pytest.approx(1.75, abs=0.01 * (timing == "virtual"))
 
 
 def test_an_interrupted_flight_keeps_what_was_flown(folder: Folder) -> None:

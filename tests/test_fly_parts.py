@@ -202,9 +202,10 @@ def test_in_wall_time_an_answer_is_logged_when_it_has_come(tmp_path: Path, monke
         clock.charge(15)
     connection, later = connections
     assert [each.args for each in opened.mock_calls] == [("127.0.0.1", 7, 1.0), ("127.0.0.1", 7, 0.5)]
-    sent = connection.call_async("ping", 1.5)
+    sent, told = connection.call_async("ping", 1.5), list[Future]()
+    sent.attach_callback(told.append)
     clock.charge(10)
-    assert sent.get() == "ping"
+    assert (sent.get(), told) == ("ping", [sent])
     with pytest.raises(RpcError, match="no"):
         later.call("refused")
     server.call_async = lambda *call: (_ for _ in ()).throw(ConnectionError())

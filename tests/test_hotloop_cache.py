@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable
+from errno import ENOSPC
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -18,6 +19,7 @@ from numba.core.caching import IndexDataCacheFile
 
 from uavaccel.envs.gates import Gates
 from uavaccel.envs.kernel_games import GameMaker
+from uavaccel.errors import UserError
 from uavaccel.kernels import cpu, pictures
 from uavaccel.sim.vehicle import hotloop
 
@@ -117,3 +119,10 @@ def test_functions_saved_at_once_are_not_taken_for_each_other(tmp_path: Path) ->
     one.save("fly", "code of fly")
     for name in ("fly", "rest"):
         assert later.load(name) in (None, f"code of {name}")
+
+
+def test_a_full_disk_is_told_of_with_the_folder(tmp_path: Path) -> None:
+    writer = IndexDataCacheFile(str(tmp_path), "loop", 1)
+    writer._save_data = lambda name, code: (_ for _ in ()).throw(OSError(ENOSPC, "No space left on device"))
+    with pytest.raises(UserError, match=rf"^{tmp_path}: No space left on device; make room$"):
+        writer.save("fly", "code")

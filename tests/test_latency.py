@@ -292,7 +292,7 @@ def test_a_resolved_configuration_holds_the_block(tmp_path: Path) -> None:
     ({"timer_us": [2, 1]}, "latency.timer_us = .*: quantiles must be 0 or more and must not fall"),
     ({"reply_us": {"call": [-1, 1]}}, "latency.reply_us = .*: quantiles must be 0 or more"),
     ({"request_us": {"call": [0, "1"]}}, "latency.request_us.call.1 = '1': should be a valid number"),
-    ({"isue_us": [0, 1]}, "unknown key 'latency.isue_us'; did you mean 'issue_us'?"),
+    ({"isue_us": [0, 1]}, "unknown key 'latency.isue_us'; did you mean 'latency.issue_us'?"),
 ])  # fmt: skip
 def test_what_is_wrong_is_one_line_in_a_block_and_in_a_file(tmp_path: Path, change: dict[str, Any], text: str) -> None:
     text = re.sub(r"\?$", r"\\?", text)

@@ -18,6 +18,7 @@ from tests.running import fly_into
 from uavaccel.rl.double_dqn import DeviceDQN
 from uavaccel.rl.learner import Game
 from uavaccel.rl.policy import weights_sha256
+from uavaccel.suites.registry import own_folder
 from uavaccel.suites.runner import run_suite, start_run
 from uavaccel.suites.session import RunRequest, reading, schema_of
 from uavaccel.suites.train import CHECKPOINTS, Training
@@ -168,6 +169,23 @@ def test_resumed_it_ends_with_the_same_bytes(here: Path, monkeypatch: pytest.Mon
     assert weights[0] == weights[1]
 
 
+@pytest.mark.parametrize("name", ["pilot.py:act", "../pilot.py:act"])
+def test_an_evaluation_of_ones_own_function_goes_on_from_another_folder(
+    name: str, here: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for folder in ("there", "else/where"):
+        (here / folder).mkdir(parents=True)
+    monkeypatch.chdir(here / "there")
+    Path(name.partition(":")[0]).write_text("def act(observation): return 2")
+    with reading(RunRequest("evaluate", {"agent": name, "games": 1}, trust=True)) as (suite, config):
+        start_run(suite, config, here / "run", {})
+    monkeypatch.chdir(here / "else/where")
+    forget_own_code(monkeypatch)
+    with reading(RunRequest(None, out=here / "run", resume=True)) as (suite, config):
+        suite.check(config)
+    assert config.agent == name
+
+
 def test_its_file_alone_is_a_training(here: Path) -> None:
     """With settings by its actions and by what can fly it; --set and --games change them."""
     for name, algorithm, lanes in (("post.py:Post", "double_dqn", 8), ("post.py:Free", "ppo", 32)):
@@ -192,8 +210,9 @@ def test_a_file_that_imports_relatively_is_a_part_of_its_package(here: Path) -> 
     (here / "there").mkdir()
     for name in (f"{here}/tasks/race/fast.py", "../tasks/race/fast.py"):
         (here / "there/own.yaml").write_text(f"suite: train\ntask: {name}\n")
-        with reading(RunRequest("there/own.yaml")) as (_, config):
+        with reading(RunRequest("there/own.yaml")) as (suite, config):
             assert (config.env_id, config.task.near_m) == (f"{name}:Fast", 3.0)
+            assert own_folder(suite, config) == here / "there", "from which a path that begins with ../ leads to it"
 
 
 def test_code_that_nobody_trusts_does_not_run(here: Path, said: Callable[[str], str]) -> None:
@@ -218,7 +237,7 @@ def test_its_schema_has_its_keys(here: Path) -> None:
     ("learning_rate", "did you mean 'options.learning_rate'?"),
     ("options.learning_rte", "did you mean 'learning_rate'?"),
     ("clock_sped", "did you mean 'task.clock_speed'?"),
-    ("task.difficulty.wind", "did you mean 'wind_m_s'?"),
+    ("task.difficulty.wind", "did you mean 'task.difficulty.wind_m_s'?"),
     ("game", "did you mean 'games'?"),
 ])  # fmt: skip
 def test_an_unknown_key_is_looked_for_at_every_level(key: str, hint: str, said: Callable[[str], str]) -> None:
@@ -226,7 +245,7 @@ def test_an_unknown_key_is_looked_for_at_every_level(key: str, hint: str, said: 
 
 
 def test_unknown_keys_of_ones_own_task_are_found_too(here: Path, said: Callable[[str], str]) -> None:
-    for key, hint in {"near_m": "task.near_m", "task.near": "near_m", "task.rollout": "options.rollout"}.items():
+    for key, hint in {"near_m": "task.near_m", "task.near": "task.near_m", "task.rollout": "options.rollout"}.items():
         line = said(f"train {yaml_of(here, 'Free')} --dry-run --set {key}=1")
         assert line == f"--set: unknown key '{key}'; did you mean '{hint}'?"
 

@@ -396,7 +396,7 @@ def test_a_loop_of_dictionaries_shows_last_and_first_frames() -> None:
     [
         ({"env_id": "uavaccel/ObstacleLane-v0"}, "does not learn uavaccel/ObstacleLane-v0, whose actions are discrete"),
         ({"algorithm": "double_dqn"}, "does not learn uavaccel/Hover-v0, whose actions are continuous"),
-        ({"task": {"reach": 1.0}}, "unknown key 'task.reach'; did you mean 'reach_m'?"),
+        ({"task": {"reach": 1.0}}, "unknown key 'task.reach'; did you mean 'task.reach_m'?"),
         ({"task": {"reach_m": -1.0}}, "task.reach_m = -1.0: should be greater than 0"),
         ({"start_from": "default"}, "start_from needs algorithm double_dqn, not ppo"),
         ({"options": {"tempo": 1}}, "options of ppo: unknown key 'tempo'"),

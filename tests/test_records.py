@@ -509,3 +509,9 @@ def test_nothing_is_written_through_a_link(run: RunDirectory, tmp_path: Path) ->
     with replacing(run.path / "report.md") as file:  # a link to a file is replaced itself
         file.write(b"x")
     assert not outside.exists()
+
+
+def test_a_folder_in_a_files_place_is_named(run: RunDirectory) -> None:
+    (run.path / "summary.json").mkdir()
+    with pytest.raises(UserError, match=r"/summary\.json: Is a directory$"):
+        run.write_json("summary.json", {})

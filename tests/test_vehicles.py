@@ -67,6 +67,7 @@ def hovering_alone() -> Api:
     ({"A": {"Z": 3}}, "Vehicles.A: position: NED z has to be"),
     ({"A": {"X": 2e4}}, "Vehicles.A: position: north and east have to be within 10000 m"),
     ({"A": {}, "B/1": ASIDE}, "Vehicles: a vehicle cannot be called 'B/1'"),
+    ({"A": {}, "ground": {"AutoCreate": False}}, "Vehicles: a vehicle cannot be called 'ground': an object of"),
 ])  # fmt: skip
 def test_places_that_cannot_be_are_named(vehicles: Any, text: str) -> None:
     with pytest.raises(UserError, match=text):
@@ -175,6 +176,8 @@ def test_each_sees_through_its_own_cameras() -> None:
 
 def test_of_several_at_once_one_that_is_too_near_is_refused_with_all() -> None:
     api = hovering_alone()
+    with pytest.raises(rpc.RpcError, match="cannot be called 'ground': an object"):
+        call(api, "simAddVehicle", "ground", "SimpleFlight", pose(5.0, 0.2, 2.0))
     call(api, "simAddVehicle", "Second", "SimpleFlight", pose(5.0, 0.2, 2.0))
     for near in ((5.0, 0.3, -0.2), (20.5, 0.0, -5.0)):
         far = AddedVehicle("Far", Start((20.0, 0.0, -5.0)))

@@ -252,17 +252,28 @@ def _field_docstrings(cls: type[Config]) -> dict[str, str]:
 
 
 def _leading(error: ValidationError) -> ErrorDetails:
-    """Return the most helpful error: an unknown key, which may be why another is missing, or the innermost one."""
+    """Return the most helpful error: an unknown key, which may be why another is missing, or the innermost one.
+
+    A key that one of a union's mappings knows, with another value, is not unknown.
+    """
     errors = error.errors(include_url=False)
-    return min(errors, key=lambda each: (each["type"] != "extra_forbidden", -len(each["loc"])))
+    lacking = ("extra_forbidden", "missing")
+    known = {(each["loc"][0], each["loc"][-1]) for each in errors if each["type"] not in lacking and each["loc"]}
+
+    def order(each: ErrorDetails) -> tuple[bool, int, bool]:
+        unknown = each["type"] == "extra_forbidden" and (each["loc"][0], each["loc"][-1]) not in known
+        return not unknown, -len(each["loc"]), each["type"] in lacking
+
+    return min(errors, key=order)
 
 
 def _explain(cls: type[Config], mapping: Mapping[str, object], error: ValidationError) -> str:
     first = _leading(error)
     key = _dotted(mapping, first)
     if first["type"] == "extra_forbidden":
-        *above, unknown = first["loc"]
-        return f"unknown key {key!r}; {suggested_key(cls.keys_of(mapping), above, str(unknown))}"
+        unknown = str(first["loc"][-1])
+        above = key.removesuffix(unknown).split(".")[:-1]
+        return f"unknown key {key!r}; {suggested_key(cls.keys_of(mapping), above, unknown)}"
     field = (
         cls.model_fields.get(str(first["loc"][0])) if len(first["loc"]) == 1 + (first["type"] == "missing") else None
     )
@@ -328,21 +339,23 @@ def _key_tree(annotation: object) -> KeyTree:
     return {name: tree for inner in get_args(annotation) for name, tree in _key_tree(inner).items()}
 
 
-def suggested_key(tree: KeyTree, path: Sequence[str | int], unknown: str) -> str:
-    """Suggest what an unknown key at `path` in a configuration may mean, there or at another level of it."""
+def suggested_key(tree: KeyTree, path: Sequence[str], unknown: str) -> str:
+    """Suggest what an unknown key at `path` in a configuration may mean, there or at another level of it, dotted."""
     here = tree
     for part in path:
-        here = here.get(str(part), here)  # list indices and names of entries have no keys of their own
+        here = here.get(part, here)  # list indices and names of entries have no keys of their own
+    if unknown in here:
+        return "it does not go with those beside it"
     elsewhere: dict[str, list[str]] = {}
     for dotted in dotted_keys(tree):
         parts = dotted.split(".")
         for end in range(1, len(parts) + 1):
             elsewhere.setdefault(parts[end - 1], []).append(".".join(parts[:end]))
-    close = get_close_matches(unknown, elsewhere, n=1, cutoff=0.85)
-    for name in [unknown] * (unknown in elsewhere) + close * (not get_close_matches(unknown, here, n=1)):
+    close, beside = get_close_matches(unknown, elsewhere, n=1, cutoff=0.85), get_close_matches(unknown, here, n=1)
+    for name in [unknown] * (unknown in elsewhere) + close * (not beside):
         if name not in here:
             return f"did you mean {min(elsewhere[name], key=lambda dotted: dotted.count('.'))!r}?"
-    return suggestion(unknown, list(here))
+    return f"did you mean {'.'.join([*path, *beside])!r}?" if beside else suggestion(unknown, list(here))
 
 
 _FLOAT = "tag:yaml.org,2002:float"

@@ -46,8 +46,8 @@ def mistake_of(error: BaseException) -> UserError | None:
     if isinstance(error, UserError):
         return error
     if isinstance(error, OSError) and error.errno in _SYSTEM_REFUSES:
-        if error.filename is not None:
-            return UserError(f"{error.filename}: {error.strerror}")
+        if name := error.filename2 or error.filename:  # of a file that is renamed, its new one
+            return UserError(f"{name}: {error.strerror}")
         return UserError(f"cannot write: {error.strerror}")  # only opening a file reports its name
     if isinstance(error, ValueError) and str(error) == "embedded null byte":  # of a path, which it does not name
         return UserError("the name of a file has a null byte in it")
@@ -65,7 +65,7 @@ def naming(path: Path) -> Iterator[None]:
         if error.errno not in _SYSTEM_REFUSES:
             raise
         more = "; make room" if error.errno == errno.ENOSPC else ""
-        raise UserError(f"{error.filename or path}: {error.strerror}{more}") from error
+        raise UserError(f"{error.filename2 or error.filename or path}: {error.strerror}{more}") from error
 
 
 def suggestion(word: str, known: Collection[str]) -> str:

@@ -75,11 +75,12 @@ def replacing(path: Path) -> Iterator[BinaryIO]:
     """Yield a file to write, which replaces `path` once it is whole and on disk."""
     unfinished = path.with_name(path.name + UNFINISHED)
     try:
-        with naming(path), open(unfinished, "wb", opener=_without_links) as file:
-            yield file
-            file.flush()
-            os.fsync(file.fileno())
-        unfinished.replace(path)
+        with naming(path):
+            with open(unfinished, "wb", opener=_without_links) as file:
+                yield file
+                file.flush()
+                os.fsync(file.fileno())
+            unfinished.replace(path)
     except BaseException:  # a full disk needs the room that a half file takes
         unfinished.unlink(missing_ok=True)
         raise

@@ -247,18 +247,12 @@ def errors_named(files: Path | Sequence[Path] | None, where: str = "") -> Iterat
 
 def _found(name: str, where: str) -> tuple[Path, list[Path]]:
     """Return the folder in which a module is found, and the files that importing it runs, its own last."""
-    beside = (folder for folder, _ in reversed(_trusted) if folder is not None)
-    folders = list(dict.fromkeys(folder.resolve() for folder in (*beside, Path.cwd())))
-    for folder in folders:
-        if name.startswith(OUTSIDE) and (file := folder.joinpath(name).resolve()).is_file():
-            folder = imported_from(file)
-            if files := _files(folder, module_of(str(file.relative_to(folder)))):
-                return folder, files
-        if files := _files(folder, name):
-            return folder, files
+    for folder in (folders := _folders()):
+        if found := _found_in(folder, name):
+            return found
     for noted in _noted:
-        if (files := _files(noted.resolve(), name)) and _remembered(files[-1]):
-            return noted.resolve(), files
+        if (found := _found_in(noted.resolve(), name)) and _remembered(found[1][-1]):
+            return found
     if name in _imported:
         file = _imported[name]
         return file.parents[name.count(".") + (file.name == "__init__.py")], [file]
@@ -272,6 +266,26 @@ def _found(name: str, where: str) -> tuple[Path, list[Path]]:
         f"{where}: no {what} {name!r} in {places}: own code is looked up in the working directory and beside the "
         "YAML file alone, not in what is installed"
     )
+
+
+def _folders() -> list[Path]:
+    """Return the folders in which code is looked up."""
+    beside = (folder for folder, _ in reversed(_trusted) if folder is not None)
+    return list(dict.fromkeys(folder.resolve() for folder in (*beside, Path.cwd())))
+
+
+def _found_in(folder: Path, name: str) -> tuple[Path, list[Path]] | None:
+    """Return what `_found` does of a module that is looked up in this folder; None if it is not there."""
+    if name.startswith(OUTSIDE) and (file := folder.joinpath(name).resolve()).is_file():
+        folder = imported_from(file)
+        name = module_of(str(file.relative_to(folder)))
+    files = _files(folder, name)
+    return (folder, files) if files else None
+
+
+def looked_up_in(place: str) -> Path | None:
+    """Return the folder from which the name of own code leads to it; None for other names."""
+    return next((folder for folder in _folders() if ":" in place and _found_in(folder, module_of(place))), None)
 
 
 def imported_from(file: Path) -> Path:

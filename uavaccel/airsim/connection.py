@@ -28,6 +28,7 @@ from uavaccel.wire.rpc import Future, Received, RpcSocket
 if TYPE_CHECKING:
     from uavaccel.airsim.client import VehicleClient
 
+LONGEST_S = 1e6  # in which a socket can be waited for
 _printed: set[str] = set()
 _AS_THEY_ARE = (bool, int, float, str, bytes, type(None))
 
@@ -69,13 +70,14 @@ def plain(value: object) -> object:
 class SocketConnection:
     """msgpack-rpc over TCP for any number of threads: one of those that wait reads for all.
 
-    An answer may take `timeout_s`. Raises ConnectionError if no server listens at the address.
+    An answer may take `timeout_s` from when it is waited for. Raises ConnectionError if no server listens at the
+    address.
     """
 
     def __init__(self, host: str, port: int, timeout_s: float) -> None:
         self._rpc: RpcSocket[Future] = RpcSocket(host, port)
         self._close = weakref.finalize(self, self._rpc.close)  # scripts close nothing
-        self._timeout_ns = round(timeout_s * NS_PER_S)
+        self._timeout_ns = patience_ns(timeout_s)
         self._clock = MonotonicClock()
         self._sending = threading.Lock()
         self._state = threading.Condition()  # guards what is below
@@ -103,28 +105,38 @@ class SocketConnection:
             print_once(future.method, future.error)
 
     def _wait(self, future: Future) -> None:
-        """Wait until the answer has arrived. Raises TimeoutError, or ConnectionError if the server has gone."""
+        """Wait until the answer has arrived, or is late. Raises ConnectionError if the server has gone."""
         deadline_ns = self._clock.now_ns() + self._timeout_ns
         while True:
             with self._state:
                 while self._read_by_somebody and not future.done:
                     left_ns = deadline_ns - self._clock.now_ns()
-                    if not self._state.wait(min(left_ns / NS_PER_S, threading.TIMEOUT_MAX)):
-                        raise TimeoutError(self._late(future))
+                    if not self._state.wait(left_ns / NS_PER_S):
+                        answer_late(future, self._timeout_ns)
                 if future.done:
                     return
                 self._read_by_somebody = True
+            answered: list[Future] = []
             try:
-                if not wait_for_sockets(self._rpc.selector, deadline_ns):
-                    raise TimeoutError(self._late(future))
-                self._rpc.receive()
+                if wait_for_sockets(self._rpc.selector, deadline_ns):
+                    answered = self._rpc.receive()
+                else:
+                    answer_late(future, self._timeout_ns)
             finally:
                 with self._state:
                     self._read_by_somebody = False
                     self._state.notify_all()
+            for each in answered:
+                each.tell()
 
-    def _late(self, future: Future) -> str:
-        return f"{future.method}: no answer within {self._timeout_ns / NS_PER_S:g} s"
+
+def patience_ns(timeout_s: float) -> int:
+    """Return for how long a client with this time-out waits, which may be infinite."""
+    return round(min(timeout_s, LONGEST_S) * NS_PER_S)
+
+
+def answer_late(future: Future, timeout_ns: int) -> None:
+    future.answer(f"no answer within {timeout_ns / NS_PER_S:g} s", None, late=True)
 
 
 Connect = Callable[[str, int, float], Connection]

@@ -219,8 +219,9 @@ def export(
             from uavaccel.export import write_mcap
 
             written.append(write_mcap(_run_in(source), mcap, case))
-        for path in chain.from_iterable(written):
-            console.print(str(path))
+        with working("the files"):
+            for path in chain.from_iterable(written):
+                console.print(str(path))
         if minari is not None:
             from uavaccel.export import write_minari
 

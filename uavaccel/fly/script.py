@@ -31,7 +31,7 @@ ADVICE = "NumPy before 2.4 still takes an array of one element for a number: pip
 
 
 def hide_ours(error: BaseException | None) -> None:
-    """Remove this package's frames, such as its import hook's, from an exception and its causes.
+    """Remove this package's frames, such as its import hook's, from an exception and its causes; a UserError has none.
 
     The first frame stays: it belongs to whoever prints the exception.
     """
@@ -39,6 +39,8 @@ def hide_ours(error: BaseException | None) -> None:
     while error is not None and id(error) not in seen:
         seen.add(id(error))
         hide_frames(error.__traceback__)
+        if isinstance(error, UserError):
+            error.__cause__, error.__suppress_context__ = None, True
         if error.__cause__ is not None:
             hide_ours(error.__cause__)
         error = error.__context__
@@ -58,11 +60,9 @@ def hide_frames_everywhere(patches: Patches) -> None:
     original: Callable[..., None] = kind.__init__
 
     def init(self: Any, exc_type: Any, exc_value: Any, exc_traceback: TracebackType | None, **options: Any) -> None:
-        hide_frames(exc_traceback)
+        hide_ours(exc_value)
         shown = None if isinstance(exc_value, UserError) else exc_traceback
         original(self, exc_type, exc_value, shown, **options)
-        if isinstance(exc_value, UserError):
-            self.__cause__ = self.__context__ = None
 
     patches.set(kind, "__init__", init)
 

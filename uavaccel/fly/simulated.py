@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import sys
+from collections.abc import Callable
 from functools import cached_property, partial
 from typing import TYPE_CHECKING
 
@@ -63,6 +64,28 @@ class ScriptWorld:
 
 def warn(line: str) -> None:
     print(f"uavaccel: warning: {line.removeprefix('warning: ')}", file=sys.stderr, flush=True)
+
+
+class SimulatedConnection:
+    """A client's connection to a flight, on whose clock an answer may take `timeout_s` from when it is waited for.
+
+    `watched` are its calls that scripts have attached callbacks to, with their numbers in the log.
+    """
+
+    def __init__(self, send: Callable[..., PendingCall], timeout_s: float) -> None:
+        from uavaccel.airsim.connection import patience_ns
+
+        self._send, self.timeout_ns = partial(send, self), patience_ns(timeout_s)
+        self.watched: dict[PendingCall, int] = {}
+
+    def call(self, method: str, *params: object) -> Received:
+        return self._send(method, params, blocking=True).get()
+
+    def call_async(self, method: str, *params: object) -> Future:
+        return self._send(method, params, blocking=False)
+
+    def close(self) -> None:
+        pass
 
 
 class SimulatedFlight:
@@ -170,10 +193,10 @@ class SimulatedFlight:
         self._log.abandon()
         vars(self).pop("_world", None)
 
-    def _connect(self, host: str, port: int, timeout_s: float) -> SimulatedFlight:
+    def _connect(self, host: str, port: int, timeout_s: float) -> SimulatedConnection:
         self._check_process()
         self._world  # noqa: B018  makes it
-        return self
+        return SimulatedConnection(self._send, timeout_s)
 
     # --- the script's clock -----------------------------------------------------------------------
 
@@ -199,18 +222,11 @@ class SimulatedFlight:
         self._catch_up()
         self._stop_at_the_end()
 
-    # --- a Connection of the client ---------------------------------------------------------------
+    # --- the script's calls -----------------------------------------------------------------------
 
-    def call(self, method: str, *params: object) -> Received:
-        return self._send(method, params, blocking=True).get()
-
-    def call_async(self, method: str, *params: object) -> Future:
-        return self._send(method, params, blocking=False)
-
-    def close(self) -> None:
-        pass
-
-    def _send(self, method: str, params: tuple[object, ...], blocking: bool) -> PendingCall:
+    def _send(
+        self, client: SimulatedConnection, method: str, params: tuple[object, ...], blocking: bool
+    ) -> PendingCall:
         self._check_caller()
         from uavaccel.airsim.connection import as_sent
 
@@ -220,7 +236,8 @@ class SimulatedFlight:
         sent, world = [as_sent(value) for value in params], self._world
         number = self._log.call(self._clock.now_ns(), world.simulation.time_ns, method, sent)
         call = world.transport.send(method, sent, blocking)
-        call.wait = partial(self._wait, number=number)  # an error has been reported as a refusal
+        call.wait = partial(self._wait, number=number, client=client)  # an error has been reported as a refusal
+        call.watch = lambda call: client.watched.update({call: number})
         return call
 
     def _check_caller(self) -> None:
@@ -229,17 +246,28 @@ class SimulatedFlight:
         if self._over:
             raise FlightOver
 
-    def _wait(self, call: PendingCall, number: int) -> None:
+    def _wait(self, call: PendingCall, number: int, client: SimulatedConnection) -> None:
         self._check_caller()
-        from uavaccel.airsim.connection import as_received
+        from uavaccel.airsim.connection import answer_late, print_once
 
         if call.deferred is not None:
             self._calls_since_wait = 0
-        patient_until_ns: int | None = self._clock.now_ns() + self._patience_ns
-        world = self._world
-        while not world.transport.wait(call, earliest(patient_until_ns, self._until_ns, self._turns.earliest_ns())):
+        now_ns = self._clock.now_ns()
+        patient_until_ns: int | None = now_ns + self._patience_ns
+        late_ns, world = now_ns + client.timeout_ns, self._world
+        client.watched.pop(call, None)
+        while not call.done:
+            self._tell(client)
+            told_ns = self._next_told_ns(client)
+            wake_ns = earliest(patient_until_ns, late_ns, told_ns, self._until_ns, self._turns.earliest_ns())
+            if world.transport.wait(call, wake_ns):
+                self._arrive(call, number)
+                return
             self._stop_at_the_end()
-            if patient_until_ns is not None and self._clock.now_ns() >= patient_until_ns:
+            now_ns = self._clock.now_ns()
+            if told_ns is not None and now_ns >= told_ns:
+                continue
+            if patient_until_ns is not None and now_ns >= patient_until_ns:
                 patient_until_ns = None
                 if not world.simulation.paused:
                     position = " ".join(f"{metres:.1f}" for metres in world.simulation.kinematics().position_m)
@@ -247,15 +275,39 @@ class SimulatedFlight:
                     where = f"{position} m" + (f", last touched {touch.object}" if touch else "")
                     waited = f"the script has waited {PATIENCE_NS / NS_PER_S:g} simulated s for {call.method}"
                     warn(f"{waited}; the vehicle is at {where}")
+            elif now_ns >= late_ns:
+                answer_late(call, client.timeout_ns)
+                call.reply_wall_ns = now_ns
+                self._arrive(call, number)
+                print_once(call.method, str(call.error))
             else:
-                event_ns, now_ns = call.reply_wall_ns, self._clock.now_ns()
+                event_ns = call.reply_wall_ns
                 if event_ns is None:
                     event_ns = world.simulation.next_event_wall_ns()
                 expected_ns = now_ns + TURN_POLL_NS if event_ns is None else max(now_ns, event_ns)
-                wake_ns = earliest(expected_ns, self._until_ns) or now_ns
+                wake_ns = earliest(expected_ns, late_ns, told_ns, self._until_ns) or now_ns
                 self._turns.wait_until(wake_ns, call.ended_early)  # another thread's time has come
+
+    def _arrive(self, call: PendingCall, number: int) -> None:
+        from uavaccel.airsim.connection import as_received
+
         call.result = as_received(call.result)
         self._log.answer(number, call.reply_wall_ns or 0, call.error, call.result)
+
+    def _tell(self, client: SimulatedConnection) -> None:
+        """Call what is attached to a client's calls whose answers have arrived, in the order of their arrival."""
+        now_ns, transport = self._clock.now_ns(), self._world.transport
+        arrived = [call for call in client.watched if transport.wait(call, now_ns)]
+        for call in sorted(arrived, key=lambda call: call.reply_wall_ns or 0):
+            if (number := client.watched.pop(call, None)) is not None:  # not yet told meanwhile
+                self._arrive(call, number)
+                call.tell()
+
+    def _next_told_ns(self, client: SimulatedConnection) -> int | None:
+        """Return when such an answer arrives next or, of a flight command in progress, something happens."""
+        replies_ns = [call.reply_wall_ns for call in client.watched]
+        event_ns = self._world.simulation.next_event_wall_ns() if None in replies_ns else None
+        return earliest(*replies_ns, event_ns)
 
     def _outlive(self) -> None:
         """Wait for the script's other threads, except daemons, when its first one is done."""

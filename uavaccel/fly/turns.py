@@ -267,8 +267,6 @@ class Thread(threading.Thread):
         except BaseException as error:
             hide_ours(error)
             shown = None if isinstance(error, UserError) else error.__traceback__
-            if shown is None:
-                error.__cause__, error.__suppress_context__ = None, True
             error.__traceback__ = shown and shown.tb_next  # without this frame
             threading.excepthook(threading.ExceptHookArgs((type(error), error, error.__traceback__, self)))
         finally:

@@ -69,14 +69,22 @@ class LoggedConnection:
         with self._ending():
             sent = self._connection.call_async(method, *params)
 
+        def arrive(sent: Future) -> None:
+            with self._lock:
+                if future.done:
+                    return
+                self._log.answer(number, self._now_ns(), sent.error, sent.result)
+                future.answer(sent.error, sent.result, sent.late)
+            future.tell()
+
         def wait(future: Future) -> None:
             with self._ending():
                 sent.join()
-            with self._lock:
-                self._log.answer(number, self._now_ns(), sent.error, sent.result)
-            future.answer(sent.error, sent.result)
+            arrive(sent)  # which another thread may have read
 
-        return Future(method, wait)
+        future = Future(method, wait)
+        sent.attach_callback(arrive)
+        return future
 
     @contextmanager
     def _ending(self) -> Iterator[None]:

@@ -121,7 +121,8 @@ class SceneObjects:
             )
         if not self._spares:
             raise ValueError("there is no room for another object; destroy one with simDestroyObject first")
-        if taken := [other for other in self.names() if name in other]:
+        names = [*self.names(), *(vehicle.name for vehicle in self._world.vehicles)]
+        if taken := [other for other in names if name in other]:
             numbers = [int(found[0]) for other in taken if (found := re.findall(r"\d+$", other))]
             name += str(max(numbers, default=0) + 1)
         geom = self._spares[0]

@@ -28,6 +28,8 @@ from numba.core.typing import Signature
 from numba.extending import models, register_model
 from numba.np import linalg
 
+from uavaccel.errors import naming
+
 P = ParamSpec("P")
 R = TypeVar("R", covariant=True)
 
@@ -219,13 +221,15 @@ def save_apart(self: caching.IndexDataCacheFile, key: object, code: object) -> N
 
     numba tells of it first, under a number that is free in the index that it has read. Of many processes that start at
     once, one could load code of older sources, or of another specialisation that was given the same number meanwhile.
+    Raises UserError, naming the folder, where the system refuses to write.
     """
-    if not self._load_index():  # there is none, or it is of older sources
-        for old in Path(self._cache_path).glob(self._index_name.removesuffix("nbi") + "*.nbc"):
-            old.unlink(missing_ok=True)
-    name = self._data_name(uuid4().int)
-    self._save_data(name, code)
-    self._save_index({**self._load_index(), key: name})
+    with naming(folder := Path(self._cache_path)):
+        if not self._load_index():  # there is none, or it is of older sources
+            for old in folder.glob(self._index_name.removesuffix("nbi") + "*.nbc"):
+                old.unlink(missing_ok=True)
+        name = self._data_name(uuid4().int)
+        self._save_data(name, code)
+        self._save_index({**self._load_index(), key: name})
 
 
 caching.IndexDataCacheFile.save = save_apart

@@ -12,13 +12,14 @@ from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from hashlib import sha256
 from importlib import import_module
+from itertools import chain
 from pathlib import Path
 
 from uavaccel.config import Config, apply_overrides, assign, load_yaml, validate
 from uavaccel.errors import UserError, suggestion
 from uavaccel.files import Plain
 from uavaccel.forms import RowForm
-from uavaccel.own_code import folder_of, imported_from, look_also_in, own_class
+from uavaccel.own_code import folder_of, imported_from, look_also_in, looked_up_in, own_class
 from uavaccel.records import RunDirectory
 from uavaccel.resources import experiment, experiments
 from uavaccel.suites.experiment import Experiment, GameRow
@@ -179,9 +180,11 @@ def open_run(path: str | Path) -> RunDirectory:
 
 
 def own_folder(suite: AnySuite, config: Experiment) -> Path | None:
-    """Return the folder from which own code, a run's suite or its environment, is imported; None without any."""
+    """Return the folder in which a run's own code, its environment, agent or suite, is looked up; None without any."""
+    names = (getattr(config, name, "") for name in ("env_id", "agent"))
     owners = (type(suite), getattr(config, "environment_class", None))
-    return next((folder for owner in owners if owner and (folder := folder_of(owner))), None)
+    found = chain(map(looked_up_in, names), (folder_of(owner) for owner in owners if owner))
+    return next(filter(None, found), None)
 
 
 def _checked(suite: AnySuite) -> AnySuite:

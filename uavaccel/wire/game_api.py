@@ -76,10 +76,10 @@ class GameApi(Calls, title="Games"):
         """Start a game in a settled hover at a NED z, paused, recording, with API control; returns the state."""
         simulation, wall_ns = self.simulation, self.wall_ns
         simulation.set_clock_speed(clock_speed, wall_ns)
-        self.scenery.recorder.keep()
-        simulation.records_game = True
         simulation.pause(wall_ns)
-        simulation.reset(wall_ns, (START_M[0], START_M[1], height_m), recording=True)
+        place = (START_M[0], START_M[1], height_m)
+        self.scenery.recorder.go_through(lambda _: simulation.reset(wall_ns, place, recording=True))
+        simulation.records_game = not self.scenery.recorder.writes
         simulation.lead.api_control = True
         return encode_state(simulation.kinematics())
 

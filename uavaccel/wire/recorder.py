@@ -119,6 +119,11 @@ class Recorder:
             with suppress(OSError):
                 file.close()
 
+    @property
+    def writes(self) -> bool:
+        """Whether a recording is being written to a file."""
+        return self._file is not None
+
     def go_through(self, reset: Callable[[bool], None]) -> None:
         """Call `reset` with whether there is a recording; a recording continues with a new grid of sampling times."""
         self.keep()

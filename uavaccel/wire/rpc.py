@@ -193,9 +193,12 @@ def set_quick_ack(connection: socket.socket) -> None:
 class Future:
     """A call that was sent, under the names of msgpack-rpc, which AirSim's scripts use; `wait` waits for its answer.
 
-    `result` and `error` are valid once it is `done`; `error` is the server's text, or None.
+    `result` and `error` are valid once it is `done`; `error` is the server's text, or None. `late` says that no answer
+    came in time. `watch`, if given, is called with a future to which a callback is attached.
     """
 
+    late = False
+    watch: Callable[[Any], object] | None = None
     _callback: Callable[[Any], object] | None = None
     _result_handler: Callable[[Any], object] | None = None
     _error_handler: Callable[[Any], object] | None = None
@@ -208,14 +211,13 @@ class Future:
         self.wait = wait
 
     def join(self) -> None:
-        """Wait for the answer, and call what is attached. As in AirSim an error is not raised."""
+        """Wait for the answer, or until it is late. As in AirSim an error is not raised."""
         if not self.done:
             self.wait(self)
-            if self._callback is not None:
-                self._callback(self)
+            self.tell()
 
     def get(self) -> Received:
-        """Wait for the answer and return it, or None if a handler takes it. Raises RpcError with the server's text."""
+        """Wait for the answer and return it, or None if a handler takes it. Raises as `outcome` does."""
         self.join()
         taken = self.result if self.error is None else self.error
         handler = self._result_handler if self.error is None else self._error_handler
@@ -225,8 +227,15 @@ class Future:
         return None
 
     def attach_callback(self, callback: Callable[[Any], object]) -> None:
-        """Let `join` and `get` call it with this future, once its answer has arrived."""
+        """Let it be called with this future when the answer arrives while its client waits for this or another call."""
         self._callback = callback
+        if self.watch is not None:
+            self.watch(self)
+
+    def tell(self) -> None:
+        """Call what is attached, once."""
+        if (callback := vars(self).pop("_callback", None)) is not None:
+            callback(self)
 
     def attach_result_handler(self, handler: Callable[[Any], object]) -> None:
         """Let `get` hand it the result."""
@@ -237,14 +246,16 @@ class Future:
         self._error_handler = handler
 
     def outcome(self) -> Received:
-        """Return what has been answered. Raises RpcError as `get` does."""
+        """Return what has been answered. Raises RpcError with the server's text, TimeoutError if it is late."""
+        if self.late:
+            raise TimeoutError(f"{self.method}: {self.error}")
         if self.error is not None:
             raise RpcError(self.error)
         return self.result
 
-    def answer(self, error: str | None, result: object) -> None:
-        """Set the server's answer."""
-        self.error, self.result, self.done = error, result, True
+    def answer(self, error: str | None, result: object, late: bool = False) -> None:
+        """Set the server's answer, or that none came in time."""
+        self.error, self.result, self.late, self.done = error, result, late, True
 
 
 Call = TypeVar("Call", bound=Future)
@@ -293,7 +304,8 @@ class RpcSocket(Generic[Call]):
             for message in self._unpacker:
                 if not isinstance(message, list) or not message:
                     raise ProtocolError(f"not a msgpack-rpc message: {type(message).__name__}")
-                if len(message) == 4 and message[0] == 1 and (call := self._open.pop(message[1], None)) is not None:
+                call = self._open.pop(message[1], None) if len(message) == 4 and message[0] == 1 else None
+                if call is not None and not call.done:
                     call.answer(None if message[2] is None else str(message[2]), message[3])
                     answered.append(call)
         except _UNREADABLE as error:

@@ -15,6 +15,7 @@ from typing import Annotated
 from uavaccel.errors import UserError
 from uavaccel.kinematics import Quaternion, Vector
 from uavaccel.sim.earth import geodetic
+from uavaccel.sim.objects import SceneObjects
 from uavaccel.sim.poses import APART_M, HERE, Pose, check_name
 from uavaccel.sim.simulation import Pilot, Simulation
 from uavaccel.sim.vehicle.vehicle import AddedVehicle, Start
@@ -81,6 +82,7 @@ class VehicleApi(Calls, title="Vehicles"):
         north, east, down = pose.position_m[0], pose.position_m[1], min(pose.position_m[2], 0.0)
         aside_m = room_m((north, east, down + STANDING_M), there)
         start = standing((north, east + aside_m, down), euler_from_quaternion(pose.orientation_wxyz)[2])
+        check_is_no_object(vehicle_name, self.scenery.objects.names())
         self.simulation.add_vehicles([AddedVehicle(vehicle_name, *start)])
         return True
 
@@ -178,7 +180,7 @@ def populate(simulation: Simulation, settings: Settings) -> None:
     that would start at another one starts beside it, as Unreal spawns it.
     """
     world = simulation.world
-    _check_names(settings)
+    _check_names(settings, SceneObjects(world).names())
     world.lead.name, world.still = settings.vehicle, settings.flightless
     there = [vehicle.name for vehicle in world.vehicles]
     added, key, taken_m = [], "", list[Vector]()
@@ -206,7 +208,7 @@ def populate(simulation: Simulation, settings: Settings) -> None:
         raise UserError(f"Vehicles{key}: {error}") from None
 
 
-def _check_names(settings: Settings) -> None:
+def _check_names(settings: Settings, objects: Sequence[str]) -> None:
     """Raise UserError, naming the key, for the invalid name of a vehicle or a camera."""
     named = [("Vehicles", "a vehicle", name) for name in settings.vehicles]
     for vehicle, given in settings.vehicles.items():
@@ -215,8 +217,15 @@ def _check_names(settings: Settings) -> None:
     for key, kind, name in named:
         try:
             check_name(name, kind=kind)
+            check_is_no_object(name, objects if key == "Vehicles" else ())
         except UserError as error:
             raise UserError(f"{key}: {error}") from None
+
+
+def check_is_no_object(name: str, objects: Sequence[str]) -> None:
+    """Raise UserError for a vehicle with the name of an object: in Unreal, too, actors' names differ."""
+    if name in objects:
+        raise UserError(f"a vehicle cannot be called {name!r}: an object of the scene is")
 
 
 def room_m(position_m: Vector, taken_m: Sequence[Vector]) -> float:
