@@ -23,7 +23,7 @@ from uavaccel.envs.sensors import PICTURE_SIZE
 from uavaccel.envs.values import AT_REST
 from uavaccel.errors import UserError
 from uavaccel.records import RunDirectory
-from uavaccel.rl.onnx_file import OnnxPolicy, described, example, reduced, write_onnx
+from uavaccel.rl.onnx_file import OnnxPolicy, described, example, input_names, reduced, write_onnx
 from uavaccel.rl.policy import Policy, make_policy
 from uavaccel.suites.report import records, row_table, sample_tables, table_of, write_tables
 
@@ -84,7 +84,7 @@ def test_a_policy_that_decides_both_ways_is_symmetric() -> None:
     ],
 )
 def test_the_whole_network_acts_as_the_policy(algorithm: str, task: dict[str, Any]) -> None:
-    """From pictures without pre-processing, and from what is told beside them, the same action."""
+    """From pictures without pre-processing, and from what is told beside them, of sizes told too, the same action."""
     trained = policy(algorithm, **task)
     inputs = [th.rand(each.shape) * 255 for each in example(trained)]
     observation = trained.config.task.observation
@@ -93,6 +93,8 @@ def test_the_whole_network_acts_as_the_policy(algorithm: str, task: dict[str, An
     if observation != "state":
         seen = seen.round().astype(np.uint8)
         inputs[1:] = [each.round() for each in inputs[1:]]
+        for name, given in zip(input_names(trained.config.task), inputs, strict=True):
+            assert ", ".join(map(str, given.shape[2:])) in described(trained)[name]
     if observation == "dvs":
         inputs[0] = th.round(inputs[0] / 64 - 2)
         seen[:, : planes[0].shape[1]] = reduced(inputs[0], trained.config.task).numpy()

@@ -151,12 +151,13 @@ def test_the_page_has_the_table_of_conditions() -> None:
 
 
 def test_a_sweep_is_around_the_options_of_evaluate(tmp_path: Path) -> None:
-    options = {"agent": "straight", "games": 2, "clock_speed": 5.0, "seed": None}
+    options = {"agent": "straight", "games": 2, "clock_speed": 5.0, "seed": 3}
     request = RunRequest(
         "evaluate", options, ["task.max_commands=3", "task.difficulty.wind_m_s=2"], out=tmp_path / "run"
     )
     sweep_agent(request, ["wind=2,4", "light=.5"], None)
     assert [row["case"] for row in RunDirectory(tmp_path / "run").rows()] == ["as-trained", "wind-4", "light-0.5"]
+    assert RunDirectory(tmp_path / "run").config()["seed"] == 3
     part = RunDirectory(tmp_path / "run" / "parts" / "light-0.5").config()["task"]
     assert (part["clock_speed"], part["max_commands"], part["difficulty"]["wind_m_s"]) == (5.0, 3, 2)
     assert part["difficulty"]["light"] == [0.5, 0.5]

@@ -234,13 +234,16 @@ def test_distributions_are_those_that_were_named(tmp_path: Path) -> None:
 
 
 def test_what_was_measured_is_replayed_as_a_distribution(tmp_path: Path) -> None:
-    measured = Measured()
+    measured: Any = Measured()
     with pytest.raises(UserError, match="no thinking time has been measured yet"):
         measured.save(tmp_path / "thinking.yaml")
+    clock = measured._clock = VirtualClock()
     env = RealTime(Counting(), measured)
     env.reset()
-    env.step(one(0.1))
-    assert len(measured.taken_ns) == 1
+    for thought_s in (0.021, 0.019):
+        clock.charge(round(1e9 * thought_s))
+        assert env.step(one(0.1))[-1]["thinking_s"] == pytest.approx(thought_s)
+    assert measured.taken_ns == [21_000_000, 19_000_000]
     for taken_ns in range(10_000_000, 30_000_000, 100_000):
         measured.taken_ns.append(taken_ns)
     with pytest.raises(UserError, match="No such file or directory"):

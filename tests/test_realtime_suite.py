@@ -5,6 +5,7 @@ from __future__ import annotations
 import shutil
 import sys
 from collections.abc import Iterator
+from itertools import permutations
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -84,6 +85,10 @@ def test_its_cases_are_each_training_once_and_each_delay() -> None:
         *(("hover", agent, "hover-naive-s1") for agent in ("naive", "slow")),
     }
     assert [suite.games(config, case) for case in (some[0], some[-1])] == [1, 2]
+    for order in permutations(config.agents):
+        other = config.model_copy(update={"agents": {name: config.agents[name] for name in order}})
+        pairs = [(place, agent) for place in other.environments for agent in order if other.flies(place, agent)]
+        assert all(other.flies(place, other.trained_as(place, agent)) for place, agent in pairs), order
 
 
 def test_a_run_that_was_interrupted_ends_with_the_same_bytes(run: RunDirectory, tmp_path: Path) -> None:

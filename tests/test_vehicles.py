@@ -85,7 +85,9 @@ def test_who_leads() -> None:
 
 
 def test_a_placed_one_has_heading_home_sight_and_ground_of_its_own() -> None:
-    api = fleet(A={}, B={"X": -20, "Y": 10, "Z": -1, "Yaw": 90})
+    api, without = fleet(A={}, B={"X": -20, "Y": 10, "Z": -1, "Yaw": 90}, C={}), fleet(A={}, C={})
+    starts, alone = ({each.name: each.start for each in one.simulation.world.vehicles} for one in (api, without))
+    assert {name: starts[name] for name in alone} == alone, "the others start where they would without it"
     assert call(api, "simGetVehiclePose", "B")["orientation"]["z_val"] == pytest.approx(0.5**0.5)
     gps = call(api, "getMultirotorState", "B")["gps_location"]
     assert list(call(api, "getHomeGeoPoint", "B").values()) == pytest.approx(list(gps.values()), abs=1e-8)
