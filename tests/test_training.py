@@ -296,7 +296,8 @@ def test_evaluations_after_a_checkpoint_are_flown_again(tmp_path: Path, monkeypa
 def test_processes_learn_what_one_would(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Two of them, and two that fly in turns, stopped and resumed in this one."""
     config = tiny_config(STATE, mirror=False, environments=2)
-    turns = tiny_config(STATE, mirror=False, environments=2, turns=2, games=8, checkpoint_games=3)
+    keys: dict[str, Any] = {"turns": 2, "games": 8, "checkpoint_games": 3, "inference_s": 0.05}
+    turns = tiny_config({**STATE, "timing": "virtual"}, mirror=False, environments=2, **keys)
     one, whole = train_into(tmp_path / "one", config), train_into(tmp_path / "whole", turns)
     assert {row["environment"] for row in RunDirectory(tmp_path / "one").rows()} == {0, 1}
     with monkeypatch.context() as patch:
@@ -421,6 +422,12 @@ def test_curves_go_to_weights_and_biases_where_a_key_says_so(tmp_path: Path, mon
     ]
     for file in ("rows.jsonl", "policy.pt", "policy.json", "summary.json"):
         assert (tmp_path / "logged" / file).read_bytes() == (tmp_path / "plain" / file).read_bytes()
+    kept = tmp_path / "logged/rows.jsonl"
+    kept.write_bytes(kept.read_bytes().replace(b'"is_success": false', b'"is_success": true'))  # before it goes on
+    train_into(kept.parent, tiny_config(STATE, mirror=False, wandb="drones", games=6), resume=True)
+    won, calls = [row["is_success"] for row in RunDirectory(kept.parent).rows()], sys.modules.pop("wandb").calls[1:-1]
+    assert [values["games/success_recent"] for _, values in calls] == [sum(won[:step]) / step for step, _ in calls]
+    assert won[0] > won[-1]
     with pytest.raises(UserError, match=r"^wandb = 'refused': api_key not configured$"):
         train_into(tmp_path / "refused", tiny_config(STATE, mirror=False, wandb="refused"))
 
