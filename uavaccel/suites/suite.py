@@ -10,6 +10,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
+from operator import itemgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Generic, Protocol, TypeAlias, TypeVar
 
@@ -144,9 +145,10 @@ class Suite(ABC, Generic[ConfigType, CaseType]):
 
     def source(self, report: Report) -> str:
         """Return where the page's numbers come from, which it says once: clocks, games, seeds."""
-        from uavaccel.suites.report import source_line
+        from uavaccel.suites.report import CLOCK, source_line
 
-        return source_line(report.games) if "timing" in report.games else ""
+        timings = report.games.get("timing", default=())
+        return source_line(report.games) if len(timings) and all(each in [*CLOCK] for each in timings) else ""
 
     def overview(self, report: Report) -> Table | None:
         """Return the result in a small table, which is printed when the run ends."""
@@ -155,7 +157,7 @@ class Suite(ABC, Generic[ConfigType, CaseType]):
     def page(self, report: Report) -> Iterator[Block | str]:
         """Yield the blocks of the page; configuration and manifest are added below them."""
         names = [name for name in report.games if name not in ("suite", "arrays", "arrays_sha256")]
-        yield Table.of(report.games, {name: f"{{{name}}}" for name in names})
+        yield Table.of(report.games, {name: itemgetter(name) for name in names})
 
     def flight(
         self, report: Report, game: Mapping[str, Any], pictures: bool = True, event_rate_hz: float | None = None
