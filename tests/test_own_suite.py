@@ -7,6 +7,7 @@ import re
 import shutil
 import sys
 from collections.abc import Callable
+from contextlib import nullcontext
 from pathlib import Path
 
 import numpy as np
@@ -66,7 +67,13 @@ def test_rows_say_how_far_each_speed_goes_and_the_page_shows_it(home: Path) -> N
 
 
 @pytest.mark.slow
-def test_killed_and_resumed_it_ends_with_the_same_bytes(home: Path, here: Path, said: Callable[[str], str]) -> None:
+def test_killed_and_resumed_it_ends_with_the_same_bytes(
+    home: Path,
+    here: Path,
+    said: Callable[[str], str],
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     """Of the run in two processes, one process flies again what is left after a kill in the middle of a line."""
     yaml, out = home / "toy.yaml", shutil.copytree(home / "runs/toy", home / "runs/killed")
     whole = (out / "rows.jsonl").read_bytes()
@@ -76,6 +83,17 @@ def test_killed_and_resumed_it_ends_with_the_same_bytes(home: Path, here: Path, 
     assert said(f"run {yaml} --out {out} --resume") == ""
     for name in MADE:
         assert (out / name).read_bytes() == (home / "runs/toy" / name).read_bytes()
+    for code, refused in (
+        (BLOCKS["python"].replace("speed-", "v"), pytest.raises(UserError, match="flown speed-0.5, which is no case ")),
+        (f"{BLOCKS['python']}\n", nullcontext()),
+    ):
+        yaml.with_name("toy.py").write_text(code)
+        forget_own_code(monkeypatch)
+        for name in modules_below(yaml.parent):
+            monkeypatch.delitem(sys.modules, name)
+        with refused:
+            app(["run", str(yaml), "--out", str(out), "--resume"], standalone_mode=False)
+    assert "warning: toy.py: changed since the run was begun" in capsys.readouterr().out
 
 
 @pytest.mark.slow

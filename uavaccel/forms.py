@@ -55,6 +55,8 @@ class Start(TypedDict, total=False):
     command_line: list[str]
     own_code: str
     """The folder of the own code that it was made with: a suite, an environment."""
+    own_code_sha256: dict[str, str]
+    """Hashes of its files, by their paths in that folder."""
 
 
 class Manifest(Start, total=False):

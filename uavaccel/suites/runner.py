@@ -24,7 +24,7 @@ import numpy as np
 
 from uavaccel.config import MOST_GAMES, MOST_PROCESSES
 from uavaccel.errors import UsageError, UserError
-from uavaccel.files import check_json, is_file_name, parse_json, to_json
+from uavaccel.files import check_json, file_sha256, is_file_name, parse_json, to_json
 from uavaccel.own_code import errors_named, files_of, folder_of, trusted_folder, trusting
 from uavaccel.processes.lifetime import remove_orphaned_files, work_for_parent
 from uavaccel.processes.workers import LOKY, Delayed, check_count, on_this_machine
@@ -96,7 +96,10 @@ def start_run(
 ) -> RunDirectory:
     """Create a run's folder or, with `resume`, bring it to a state from which the run continues. Raises UserError."""
     folder = own_folder(suite, config)  # from which `run --report` imports own code
-    found = {} if folder is None else {"own_code": str(folder)}
+    found: dict[str, object] = {}
+    if folder is not None:
+        hashes = {os.path.relpath(file, folder): file_sha256(file) for file in _own_files(suite, config)}
+        found = {"own_code": str(folder), "own_code_sha256": hashes}
     run = RunDirectory.create(out, config, {**manifest, **found}, resume, suite.may_grow(out))
     run.form = suite.form
     suite.prepare(config, run)
@@ -203,10 +206,14 @@ def _own_errors(suite: AnySuite, config: Experiment) -> Iterator[None]:
 
         if isinstance(error, BatchError | ServerGoneError):
             raise
-        environment = getattr(config, "environment_class", None)
-        own = (environment, environment.task_class) if environment else ()
-        with errors_named(files_of(type(suite), *own)):
+        with errors_named(_own_files(suite, config)):
             raise
+
+
+def _own_files(suite: AnySuite, config: Experiment) -> list[Path]:
+    """Return the files of a suite or an environment of one's own."""
+    environment = getattr(config, "environment_class", None)
+    return files_of(type(suite), *((environment, environment.task_class) if environment else ()))
 
 
 _OPENED: dict[tuple[str, str], tuple[AnySuite, Opened, ExitStack]] = {}  # by the run's folder, and timing

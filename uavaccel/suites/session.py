@@ -247,6 +247,11 @@ def planned(request: RunRequest) -> Iterator[Plan]:
             refuse_other_config(out, config, suite.may_grow(out))
             _refuse_other_experiments(out, config)
         flown = RunDirectory(out).done_cases() if begun else set()
+        if strange := sorted(flown - {case.id for case in cases}):
+            raise UserError(
+                f"{out}: has flown {strange[0]}, which is no case of {suite.name} now: its code has to name the same "
+                "cases each time; restore it, or take another --out"
+            )
         yield Plan(suite, config, cases, [case for case in cases if case.id not in flown], out, request)
 
 
@@ -291,6 +296,9 @@ def resumption_notes(run: RunDirectory, games: str, now: Mapping[str, Plain]) ->
     first, commit = (each.get("git") or {} for each in (manifest, now))
     if first.get("commit") and commit.get("commit") and first["commit"] != commit["commit"]:
         yield f"warning: begun with another commit of uavaccel: {first['commit'][:12]}, now {commit['commit'][:12]}"
+    first, own = (each.get("own_code_sha256") or {} for each in (manifest, manifest.get("resumed", [manifest])[-1]))
+    if edited := [name for name, sha256 in own.items() if first.get(name, sha256) != sha256]:
+        yield f"warning: {', '.join(edited)}: changed since the run was begun"
 
 
 @contextmanager
