@@ -238,6 +238,8 @@ def test_what_was_measured_is_replayed_as_a_distribution(tmp_path: Path) -> None
     with pytest.raises(UserError, match="no thinking time has been measured yet"):
         measured.save(tmp_path / "thinking.yaml")
     env = RealTime(Counting(), measured)
+    with pytest.raises(UserError, match="reset the environment before a step"):
+        env.step(0)
     env.reset()
     env.step(one(0.1))
     assert len(measured.taken_ns) == 1
