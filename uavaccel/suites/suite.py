@@ -23,6 +23,7 @@ from uavaccel.forms import ArrayForm, RowForm
 from uavaccel.machine import gpu
 from uavaccel.records import RunDirectory
 from uavaccel.suites.experiment import Experiment, GameRow, Row
+from uavaccel.units import real
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -168,7 +169,7 @@ class Suite(ABC, Generic[ConfigType, CaseType]):
         `event_rate_hz`, where it is flown again, those of a second event camera. By default a flight is read from the
         game's arrays, if they have the names of a recording's. Raises UserError where nothing was kept of it.
         """
-        from uavaccel.suites.flight import ARRAYS, Flight
+        from uavaccel.suites.flight import ARRAYS, FLIGHT, Flight
 
         if "arrays" not in game:
             raise UserError(
@@ -178,7 +179,9 @@ class Suite(ABC, Generic[ConfigType, CaseType]):
         arrays = report.run.load_arrays(game)
         if missing := [name for name in ARRAYS if name not in arrays]:
             raise UserError(f"{report.run.path}: the arrays of {game['case']} have no {', '.join(missing)}")
-        return Flight.of(f"{game['case']}", float(game.get("clock_speed", 1.0)), arrays)
+        RowForm(GameRow, arrays=FLIGHT).check_arrays(arrays, {}, f"{report.run.path}: {game['case']}", "")
+        speed = real(game.get("clock_speed"))
+        return Flight.of(f"{game['case']}", speed if speed is not None and speed > 0 else 1.0, arrays)
 
     def interest(self, row: Row) -> Any:
         """Return a key that sorts games, the most interesting first: references last, the fastest first, TCSC's first.
