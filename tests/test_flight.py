@@ -61,6 +61,12 @@ def test_a_suite_that_keeps_recordings_has_flights_for_free(tmp_path: Path) -> N
         Suite.flight(Dp1(), report, {"case": "a"})
     with pytest.raises(UserError, match=f"^{run.path}: a run of seeds has its flights in the runs below parts/; take"):
         Seeds().flight(report, row)
+    assert Suite.flight(Dp1(), report, row | {"clock_speed": "fast"}).clock_speed == 1.0
+    short = SimpleNamespace(
+        run=SimpleNamespace(path="run", load_arrays=lambda _: arrays | {"position_m": np.ones((4, 3))})
+    )
+    with pytest.raises(UserError, match=r"^run: a: position_m: has the shape \(4, 3\), not \(5, 3\)$"):
+        Suite.flight(Dp1(), short, row)  # type: ignore[arg-type]
     del arrays["position_m"], arrays["command_end_s"]
     run, row = run_with(tmp_path / "other", configured("dp1"), {}, arrays)
     with pytest.raises(UserError, match=r"the arrays of a have no position_m, command_end_s$"):

@@ -147,9 +147,9 @@ def test_a_length_is_that_of_all_arrays_of_one_name(tmp_path: Path) -> None:
     form = RowForm(dict, arrays={"*_lane": ArrayForm("i", ("n",)), "*_won": ArrayForm("b", ("n",))})
     arrays = {f"{name}_lane": np.arange(n) for name, n in (("tcsc", 2), ("exact", 3))}
     arrays |= {"tcsc_won": np.ones(2, bool), "exact_won": np.ones(3, bool)}
-    form.check_arrays(arrays, {"case": "a"}, "a.npz")
+    form.check_arrays(arrays, {"case": "a"}, "a.npz: a")
     with pytest.raises(UserError, match=r"exact_won: has the shape \(2,\), not \(3,\)"):
-        form.check_arrays(arrays | {"exact_won": np.ones(2, bool)}, {"case": "a"}, "a.npz")
+        form.check_arrays(arrays | {"exact_won": np.ones(2, bool)}, {"case": "a"}, "a.npz: a")
 
 
 def test_times_that_fall_and_uncounted_commands_are_refused(tmp_path: Path) -> None:

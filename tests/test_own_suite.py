@@ -7,13 +7,13 @@ import re
 import shutil
 import sys
 from collections.abc import Callable
+from contextlib import nullcontext
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from tests.conftest import forget_own_code, modules_below
-from tests.running import run_into
 from uavaccel import VelocityGoal, open_session, tcsc
 from uavaccel.cli.main import app
 from uavaccel.errors import UserError
@@ -21,7 +21,6 @@ from uavaccel.own_code import file_beside, folder_of, look_also_in, own_function
 from uavaccel.resources import asset
 from uavaccel.rl.policy import MANIFEST, read_manifest
 from uavaccel.suites.registry import find_suite
-from uavaccel.suites.session import RunRequest, reading
 
 pytestmark = pytest.mark.usefixtures("whole_messages")
 
@@ -68,7 +67,13 @@ def test_rows_say_how_far_each_speed_goes_and_the_page_shows_it(home: Path) -> N
 
 
 @pytest.mark.slow
-def test_killed_and_resumed_it_ends_with_the_same_bytes(home: Path, here: Path, said: Callable[[str], str]) -> None:
+def test_killed_and_resumed_it_ends_with_the_same_bytes(
+    home: Path,
+    here: Path,
+    said: Callable[[str], str],
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     """Of the run in two processes, one process flies again what is left after a kill in the middle of a line."""
     yaml, out = home / "toy.yaml", shutil.copytree(home / "runs/toy", home / "runs/killed")
     whole = (out / "rows.jsonl").read_bytes()
@@ -78,6 +83,17 @@ def test_killed_and_resumed_it_ends_with_the_same_bytes(home: Path, here: Path, 
     assert said(f"run {yaml} --out {out} --resume") == ""
     for name in MADE:
         assert (out / name).read_bytes() == (home / "runs/toy" / name).read_bytes()
+    for code, refused in (
+        (BLOCKS["python"].replace("speed-", "v"), pytest.raises(UserError, match="which is no case of toy now: ")),
+        (f"{BLOCKS['python']}\n", nullcontext()),
+    ):
+        yaml.with_name("toy.py").write_text(code)
+        forget_own_code(monkeypatch)
+        for name in modules_below(yaml.parent):
+            monkeypatch.delitem(sys.modules, name)
+        with refused:
+            app(["run", str(yaml), "--out", str(out), "--resume"], standalone_mode=False)
+    assert "warning: toy.py: changed since the run was begun" in capsys.readouterr().out
 
 
 @pytest.mark.slow
@@ -98,13 +114,6 @@ def test_what_goes_wrong_in_its_flights_is_one_line(
     (here / "toy.yaml").write_text(BLOCKS["yaml"])
     line = text.partition("raise SystemExit")[0].count("\n") + 1
     assert said("run toy.yaml --out run").endswith(f"{here}/toy.py:{line}: Toy.{function}: SystemExit: 3")
-
-
-def test_what_is_no_block_of_a_page_is_named(here: Path) -> None:
-    (here / "toy.py").write_text(BLOCKS["python"].replace("axes.legend()", "yield 3"))
-    (here / "toy.yaml").write_text(BLOCKS["yaml"])
-    with reading(RunRequest("toy.yaml")) as (suite, config), pytest.raises(TypeError, match="3 is no block"):
-        run_into(here / "run", suite, config)
 
 
 @pytest.mark.parametrize(
@@ -265,6 +274,8 @@ def test_projects_of_one_process_may_have_modules_of_one_name(here: Path, monkey
 
 WRONG = """
 from contextlib import nullcontext
+from typing_extensions import TypedDict
+from uavaccel.forms import ArrayForm
 from uavaccel.suites.experiment import Experiment
 from uavaccel.suites.suite import GameResult, SimpleCase, Suite
 
@@ -282,6 +293,9 @@ class Own(Suite):
 
 class Wrong(Own):
 """
+FLOWN = "flown = lambda self, case: GameResult({'0': 1, 'x!q': 2, 'timing': 'late', 'seed': [1]})"
+TOLD = ("summary", "title", "headline", "overview", "source", "page", "status")
+CALLED = ("prepare", "finish", "check", "renders")
 
 
 @pytest.mark.parametrize(("line", "reason"), [
@@ -302,8 +316,14 @@ class Wrong(Own):
     ("cases = lambda self, config: [SimpleCase('a', 'never', 1.0)]", "own: a has the timing 'never': should be wall"),
     ("cases = lambda self, config: [SimpleCase('a', 'virtual', float('nan'))]", "own: a takes nan simulated s"),
     ("open = lambda self, *_: 3; flown = lambda self, case: GameResult({})", "own: open returned a int"),
-    ("flown = lambda self, case: GameResult({}); summary = lambda self, report: 1", "summary returned a int"),
-    ("flown = lambda self, case: GameResult({}); page = lambda self, report: 1 / 0", "Wrong.<lambda>: ZeroDivision"),
+    *((f"{FLOWN}; {name} = lambda *_: 1", f"own: {name} returned a int, not") for name in TOLD),
+    *((f"{FLOWN}; {name} = lambda *_: 1 / 0", "Wrong.<lambda>: ZeroDivision") for name in (*TOLD, *CALLED)),
+    (f"{FLOWN}; summary = lambda self, report: {{'a': {{1}}}}", "own: summary is no JSON: 'a': Object of type set"),
+    (f"{FLOWN}; page = lambda self, report: [{{}}]", "own: page yields a dict, no block: a text, Heading"),
+    ("flown = lambda self, case: GameResult({'suite': 'a'})", "fly of a: its row: suite = 'a': this is a run of own"),
+    (f"{FLOWN}; row = TypedDict('R', {{'x': int}})", "fly of a: its row: key 'x' is missing"),
+    ("flown = lambda self, case: GameResult({}, {'a': [1]}); arrays = {'b': ArrayForm('f')}", "has no array 'b'"),
+    ("cases = lambda self, config: [SimpleCase('a', 'virtual', '1')]", "own: a takes '1' simulated s"),
     ("flown = lambda self, case: GameResult({}, {'a': [[1], [1, 2]]})", "its arrays have to be a mapping of numbers"),
     ("flown = lambda self, case: GameResult({}, [1])", "its arrays have to be a mapping of numbers"),
 ])  # fmt: skip

@@ -397,6 +397,7 @@ def framed(shape: str, size: int) -> bytes:
         (answering(HEAD.pack(MAGIC, 1 << 16, 0) + b"[" * (1 << 16)), "sent a frame whose header cannot be read"),
         (answering(framed("[-1]", 8)), "sent a frame whose header cannot .*"),
         (answering(framed("[1000000000, 1000000000]", 8)), "sent a frame whose header cannot .*"),
+        (answering(framed("[0, 60000000, 60000000, 60000000]", 0)), "sent a frame whose header cannot .*"),
         *((answering(framed("[2]", size)), "sent a frame whose arrays have not the length .*") for size in (8, 24)),
         (answering(Frame("action", parts={"": np.zeros(2)}).packed()[:-1]), "has not answered within 0.5 s"),
         (answering(Frame("error", {"line": "a\n\x1b[2Jb"}).packed()), r"a \[2Jb"),

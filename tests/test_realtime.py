@@ -239,6 +239,8 @@ def test_what_was_measured_is_replayed_as_a_distribution(tmp_path: Path) -> None
         measured.save(tmp_path / "thinking.yaml")
     clock = measured._clock = VirtualClock()
     env = RealTime(Counting(), measured)
+    with pytest.raises(UserError, match="reset the environment before a step"):
+        env.step(0)
     env.reset()
     for thought_s in (0.021, 0.019):
         clock.charge(round(1e9 * thought_s))

@@ -34,6 +34,7 @@ from uavaccel.draw.style import dvs_picture
 from uavaccel.envs.arrays import stacked_observations
 from uavaccel.errors import UserError, naming
 from uavaccel.files import UNFINISHED, inside, read_bounded, replacing, to_json
+from uavaccel.own_code import errors_named, files_of
 from uavaccel.records import RunDirectory, provenance_of
 from uavaccel.resources import require
 from uavaccel.rl.agents import reset_options
@@ -130,7 +131,8 @@ def write_mcap(run: RunDirectory, path: Path, case: str | None = None) -> Iterat
     for there in filter(Path.exists, files):
         raise UserError(f"{there}: exists; take another --mcap")
     for row, file in zip(rows, files, strict=True):
-        game = suite.flight(report, row, event_rate_hz=EVENT_RATE_HZ)
+        with errors_named(files_of(type(suite))):
+            game = suite.flight(report, row, event_rate_hz=EVENT_RATE_HZ)
         try:
             file.parent.mkdir(parents=True, exist_ok=True)
             _write_game(run, row, game, file)

@@ -149,6 +149,21 @@ def to_json(value: object, indent: int | None = None) -> str:
         return json.dumps(finite, sort_keys=True, allow_nan=False, indent=indent)
 
 
+def check_json(entries: Mapping[str, object], where: str) -> None:
+    """Raise UserError, which names the first such key after `where`, for entries that are no JSON to be read back."""
+
+    def fault(value: object) -> str | None:
+        try:
+            json.dumps(parse_json(to_json(value)), ensure_ascii=False).encode()
+        except (TypeError, ValueError, RecursionError) as error:
+            return str(error)
+        return None
+
+    if (said := fault(entries)) is not None:
+        named = (f"{name!r}: {own}" for name, value in entries.items() if (own := fault({name: value})) is not None)
+        raise UserError(f"{where} is no JSON: {next(named, said)}")
+
+
 def write_json(path: Path, value: object) -> Path:
     """Write JSON, in lines that are indented, in place of what is there; returns the path."""
     with replacing(path) as file:

@@ -55,6 +55,8 @@ class Start(TypedDict, total=False):
     command_line: list[str]
     own_code: str
     """The folder of the own code that it was made with: a suite, an environment."""
+    own_code_sha256: dict[str, str]
+    """Hashes of its files, by their paths in that folder."""
 
 
 class Manifest(Start, total=False):
@@ -91,25 +93,32 @@ class RowForm:
     def check_rows(self, rows: Sequence[Plain], source: object) -> None:
         """Raise UserError, naming line, game, key and value, unless every row has this form."""
         for number, row in enumerate(rows, start=1):
-            where, suite = f"{source}: line {number}: {row.get('case')}", row.get("suite", self.suite)
-            if self.suite is not None and suite != self.suite:
-                raise UserError(f"{where}: suite = {reprlib.repr(suite)}: this is a run of {self.suite}; {MEND}")
-            check(self.row, row, where, MEND)
-            if self.case_of is not None and row["case"] != (name := self.case_of(row)):
-                raise UserError(f"{where}: by its other keys it is the row of {name}; {MEND}")
+            self.check_row(row, f"{source}: line {number}: {row.get('case')}")
 
-    def check_arrays(self, arrays: Mapping[str, np.ndarray], row: Mapping[str, Plain], source: object) -> None:
-        """Raise UserError, naming file and array, unless a row's arrays have this form."""
+    def check_row(self, row: Plain, where: str, mend: str = MEND) -> None:
+        """Raise UserError, naming key and value after `where`, and what to do, unless a row has this form."""
+        suite, then = row.get("suite", self.suite), mend and f"; {mend}"
+        if self.suite is not None and suite != self.suite:
+            raise UserError(f"{where}: suite = {reprlib.repr(suite)}: this is a run of {self.suite}{then}")
+        check(self.row, row, where, mend)
+        if self.case_of is not None and row["case"] != (name := self.case_of(row)):
+            raise UserError(f"{where}: by its other keys it is the row of {name}{then}")
+
+    def check_arrays(
+        self, arrays: Mapping[str, np.ndarray], row: Mapping[str, Plain], where: str, mend: str = MEND
+    ) -> None:
+        """Raise UserError, naming the array after `where`, and what to do, unless a row's arrays have this form."""
+        then = mend and f"; {mend}"
         lengths: dict[str, int] = {}
         for pattern, form in self.arrays.items():
             names = [name for name in arrays if fnmatchcase(name, pattern)]
             if not (names or form.optional):
-                raise UserError(f"{source}: {row['case']}: has no array {pattern!r}; {MEND}")
+                raise UserError(f"{where}: has no array {pattern!r}{then}")
             for name in names:
                 own = name.removesuffix(pattern.removeprefix("*")) if pattern.startswith("*_") else ""
                 wrong = _fault(arrays[name], form) or _misfit(arrays[name], form, row, lengths, own)
                 if wrong:
-                    raise UserError(f"{source}: {row['case']}: {name}: {wrong}; {MEND}")
+                    raise UserError(f"{where}: {name}: {wrong}{then}")
 
 
 @cache

@@ -192,7 +192,7 @@ class RunDirectory:
                 f"{file}: is not the file of its row: another hash; delete the row's line and --resume the run"
             )
         if self.form is not None:
-            self.form.check_arrays(arrays, row, file)
+            self.form.check_arrays(arrays, row, f"{file}: {row['case']}")
         return arrays
 
     def file(self, name: str) -> Path:

@@ -112,7 +112,7 @@ def evaluate(
 
 def report_runs(run_dirs: Sequence[Path], trust: bool = False) -> None:
     """Report runs again, and draw several of a suite side by side, in the first one's folder. Raises UserError."""
-    from uavaccel.own_code import trusting
+    from uavaccel.own_code import errors_named, files_of, trusting
     from uavaccel.records import RunDirectory
     from uavaccel.suites.registry import suite_of
 
@@ -125,8 +125,10 @@ def report_runs(run_dirs: Sequence[Path], trust: bool = False) -> None:
             report_run(run)
             by_suite.setdefault(str(run.config()["suite"]), []).append(run)
         for runs in by_suite.values():
-            for path in suite_of(runs[0]).compare(runs) if len(runs) > 1 else ():
-                console.print(str(path))
+            suite = suite_of(runs[0])
+            with errors_named(files_of(type(suite))):
+                for path in suite.compare(runs) if len(runs) > 1 else ():
+                    console.print(str(path))
 
 
 def run_experiment(
@@ -193,12 +195,12 @@ def report_run(run: RunDirectory) -> None:
     from uavaccel.suites.registry import suite_of
 
     suite = suite_of(run)
-    report = suite.report(run)
     with working("the report"), errors_named(files_of(type(suite))):
-        summary = report.write()
-    for line in filter(None, (report.headline(), report.pace())):
+        report = suite.report(run)
+        summary, said, table = report.write(), report.headline(), report.overview()
+    for line in filter(None, (said, report.pace())):
         console.print(line)
-    if table := report.overview():
+    if table:
         show_table(table)
     cells = summary.get("cells", ())
     if lost := [cell["lost_wall_s"] for cell in cells if cell.get("lost_wall_s")]:

@@ -12,6 +12,8 @@ from rich.progress import BarColumn, TextColumn
 from rich.progress import Progress as Bar
 from rich.table import Table as RichTable
 
+from uavaccel.errors import UserError
+
 if TYPE_CHECKING:
     from uavaccel.draw.page import Table
     from uavaccel.suites.experiment import Row
@@ -99,9 +101,11 @@ class Progress:
         wall_s = max((self._clock.now_ns() - self._start_ns) / NS_PER_S, 1e-9)
         measured = len(self._rows) - self._skipped >= self._jobs and self._passed_s > 0.0
         left = f"{in_words(max(self._left_s, 0.0) * wall_s / self._passed_s)} left" if measured else "time left unknown"
-        status = self._suite.status(self._rows)
+        status = self._suite.status(self._rows) or ""
+        if not isinstance(status, str):
+            raise UserError(f"{self._suite.name}: status returned a {type(status).__name__}, not a text")
         return (
-            f"{len(self._rows)}/{self._games} {self._suite.unit}, {status + ', ' if status else ''}"
+            f"{len(self._rows)}/{self._games} {self._suite.unit}, {status}{', ' * bool(status)}"
             f"{self._flown_s / wall_s:.0f} simulated s per wall s, {left}"
         )
 

@@ -121,6 +121,8 @@ def _form(name: str, dtype: str, shape: list[int]) -> tuple[str, np.dtype[Any], 
     axes = [each for each in shape if type(each) is int and 0 <= each <= BODY_BYTES]
     if not isinstance(name, str) or dtype not in DTYPES or len(axes) < len(shape) or len(axes) > MOST_AXES:
         raise ValueError
+    if math.prod(filter(None, axes)) > BODY_BYTES:  # NumPy counts the others beside an axis of no length, too
+        raise ValueError
     return name, np.dtype(dtype), axes
 
 

@@ -71,7 +71,8 @@ class Measured(ThinkingTime):
         self._since_ns = self._clock.now_ns()
 
     def sample_ns(self, generator: np.random.Generator) -> int:
-        assert self._since_ns is not None
+        if self._since_ns is None:
+            raise UserError("latency_s = 'measured': there is no observation yet; reset the environment before a step")
         self.taken_ns.append(self._clock.now_ns() - self._since_ns)
         return self.taken_ns[-1]
 

@@ -14,6 +14,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from uavaccel.errors import UsageError, UserError
 from uavaccel.files import inside
+from uavaccel.forms import ArrayForm
+from uavaccel.own_code import errors_named, files_of
 from uavaccel.sim.lane import LaneLayout
 from uavaccel.units import NS_PER_S, to_ns
 
@@ -25,6 +27,13 @@ if TYPE_CHECKING:  # they load what draws
 
 ARRAYS = ("time_s", "position_m", "orientation_wxyz", "command_start_s", "command_end_s")
 """What `Flight.of` needs of a game's arrays; a recording of the simulation has them."""
+FLIGHT = {
+    "time_s": ArrayForm("fiu", ("samples",), ascends=True),
+    "position_m": ArrayForm("fiu", ("samples", 3)),
+    "orientation_wxyz": ArrayForm("fiu", ("samples", 4)),
+    **dict.fromkeys(("command_start_s", "command_end_s"), ArrayForm("fiu", ascends=True)),
+}
+"""Their forms in a suite of one's own, whose numbers may be of any type."""
 Times = NDArray[np.int64]
 Floats = NDArray[np.float64]
 Counts = NDArray[np.integer]
@@ -139,7 +148,8 @@ def flight_of(
         suite = suite_of(run)
         report = suite.report(run)
         row = choose_row(suite, report, case, game)
-        return str(row["case"]), suite.flight(report, row, pictures=pictures)
+        with errors_named(files_of(type(suite))):
+            return str(row["case"]), suite.flight(report, row, pictures=pictures)
     if game is not None:
         raise UsageError(f"--game {game}: {source} is a policy, which flies a lane: --case lane-000007")
     keys = completed({"agent": str(source), "task": {"timing": "lockstep"}})

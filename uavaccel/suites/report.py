@@ -21,7 +21,7 @@ from uavaccel.config import dotted_keys, validate
 from uavaccel.draw import style
 from uavaccel.draw.page import KINDS, Heading, Listing, Paragraph, Picture, Table, fill, to_html, to_markdown
 from uavaccel.errors import UserError
-from uavaccel.files import Plain, inside, read_bounded, replacing
+from uavaccel.files import Plain, check_json, inside, read_bounded, replacing
 from uavaccel.records import RunDirectory, timing_provenance
 from uavaccel.resources import require
 from uavaccel.suites.experiment import Row, pace_of
@@ -71,10 +71,20 @@ class Report:
     @cached_property
     def summary(self) -> Summary:
         """The contents of summary.json. Raises UserError where the suite makes no mapping."""
-        made = self.suite.summary(self)
-        if not isinstance(made, Mapping):
-            raise UserError(f"{self.suite.name}: summary returned a {type(made).__name__}, not a mapping")
+        made: Summary = self._made("summary", Mapping, "a mapping")
+        check_json(made, f"{self.suite.name}: summary")
         return made
+
+    def _made(self, method: str, kind: Any, what: str) -> Any:
+        """Return what a method of the suite makes of the report. Raises UserError where it is not of the kind."""
+        made = getattr(self.suite, method)(self)
+        if not isinstance(made, kind):
+            raise UserError(f"{self.suite.name}: {method} returned a {type(made).__name__}, not {what}")
+        return made
+
+    def _text(self, method: str) -> str:
+        said: str = self._made(method, str, "a text")
+        return said
 
     def figure(self, name: str, figure: Figure, caption: str, alt: str, games: Games | None = None) -> Picture:
         """Save a figure as figures/NAME.png, and return its block; of several clocks the caption names the games'."""
@@ -93,30 +103,33 @@ class Report:
         """Write summary.json, figures/, report.md and report.html. Raises UserError for damaged files."""
         self.write_summary()
         with style.project_style():
-            own = [Paragraph(block) if isinstance(block, str) else block for block in self.suite.page(self)]
+            made = self._made("page", Iterable, "blocks")
+            yielded = [made] if isinstance(made, str) else made
+            own = [Paragraph(block) if isinstance(block, str) else block for block in yielded]
         if wrong := [block for block in own if not isinstance(block, KINDS)]:
             kinds = ", ".join(kind.__name__ for kind in KINDS)
-            raise TypeError(f"{type(self.suite).__name__}.page: {wrong[0]!r} is no block of a page: a text, {kinds}")
-        source, versions = self.suite.source(self), self.run.manifest().get("versions", {})
+            raise UserError(f"{self.suite.name}: page yields a {type(wrong[0]).__name__}, no block: a text, {kinds}")
+        source, versions = self._text("source"), self.run.manifest().get("versions", {})
         made_by = [f"{name} {versions[key]}" for key, name in MADE_BY.items() if key in versions]
         source = " · ".join([*filter(None, [source]), *made_by])
         told = [f"{said}." for said in [self.headline()] if said] + [source[:1].upper() + source[1:]] * bool(source)
         kept = [path for name in ("config.yaml", "manifest.json") if (path := self.run.path / name).is_file()]
         texts = [Listing(read_bounded(path).decode("utf-8", errors="replace"), folded=path.name) for path in kept]
         blocks = [*map(Paragraph, told), *own, Heading("Provenance"), *texts]
-        title = self.suite.title(self)
+        title = self._text("title")
         self.run.write_text("report.md", to_markdown(title, blocks, self.run.path))
         self.run.write_text("report.html", to_html(title, blocks))
         return self.summary
 
     def headline(self) -> str:
         """Return the result in a sentence, which stands on top of the page and is printed when the run ends."""
-        said = self.suite.headline(self)
+        said = self._text("headline")
         return said[:1].upper() + said[1:]
 
     def overview(self) -> Table | None:
         """Return the result in a small table, which is printed when the run ends."""
-        return self.suite.overview(self)
+        table: Table | None = self._made("overview", Table | None, "a Table")
+        return table
 
     def pace(self) -> str:
         """Return how long the games took on this machine; no summary has it, since it is never reproduced."""
@@ -177,7 +190,9 @@ def clock_words(timing: str) -> str:
 
 def known(games: Games, name: str) -> list[Any]:
     """Return the distinct values of a column, sorted; none without such a column."""
-    return sorted(games[name].dropna().unique().tolist()) if name in games else []
+    values = games[name].dropna().tolist() if name in games else []
+    plain = {value for value in values if isinstance(value, str | int | float)}  # an own suite's may be lists
+    return sorted(plain, key=lambda value: (isinstance(value, str), value))
 
 
 def disturbed_games(games: Games) -> dict[str, int]:

@@ -8,7 +8,6 @@ DASK_SCHEDULER_ADDRESS) a local one of this machine's processes is started, on l
 from __future__ import annotations
 
 import atexit
-import json
 import math
 import os
 import threading
@@ -25,15 +24,16 @@ import numpy as np
 
 from uavaccel.config import MOST_GAMES, MOST_PROCESSES
 from uavaccel.errors import UsageError, UserError
-from uavaccel.files import is_file_name, parse_json, to_json
-from uavaccel.own_code import errors_named, files_of, trusted_folder, trusting
+from uavaccel.files import check_json, file_sha256, is_file_name, parse_json, to_json
+from uavaccel.own_code import errors_named, files_of, folder_of, trusted_folder, trusting
 from uavaccel.processes.lifetime import remove_orphaned_files, work_for_parent
 from uavaccel.processes.workers import LOKY, Delayed, check_count, on_this_machine
 from uavaccel.records import RunDirectory
 from uavaccel.resources import require
-from uavaccel.suites.experiment import Experiment, Timing, disturbances, timed, timing_of
+from uavaccel.suites.experiment import Experiment, Row, Timing, disturbances, timed, timing_of
 from uavaccel.suites.registry import own_folder, suite_of
 from uavaccel.suites.suite import AnySuite, Case, GameResult, OnGame, Opened
+from uavaccel.units import real
 from uavaccel.wire.rpc import ServerGoneError
 
 MOST_RESTARTS = 3  # of the server in a game
@@ -87,8 +87,8 @@ def _check_case(suite: AnySuite, case: Any) -> None:
         raise UserError(f"{suite.name}: cases has a {type(case).__name__} without {', '.join(lacking)}")
     if case.timing not in (known := get_args(Timing)):
         raise UserError(f"{suite.name}: {case.id} has the timing {case.timing!r}: should be {', '.join(known)}")
-    if not 0 <= case.simulated_s() < math.inf:
-        raise UserError(f"{suite.name}: {case.id} takes {case.simulated_s()} simulated s: should be at least 0")
+    if (seconds := real(case.simulated_s())) is None or not 0 <= seconds < math.inf:
+        raise UserError(f"{suite.name}: {case.id} takes {case.simulated_s()!r} simulated s: should be at least 0")
 
 
 def start_run(
@@ -96,7 +96,10 @@ def start_run(
 ) -> RunDirectory:
     """Create a run's folder or, with `resume`, bring it to a state from which the run continues. Raises UserError."""
     folder = own_folder(suite, config)  # from which `run --report` imports own code
-    found = {} if folder is None else {"own_code": str(folder)}
+    found: dict[str, object] = {}
+    if folder is not None:
+        hashes = {os.path.relpath(file, folder): file_sha256(file) for file in _own_files(suite, config)}
+        found = {"own_code": str(folder), "own_code_sha256": hashes}
     run = RunDirectory.create(out, config, {**manifest, **found}, resume, suite.may_grow(out))
     run.form = suite.form
     suite.prepare(config, run)
@@ -119,13 +122,15 @@ def run_suite(
     """
     check_jobs(suite, config, jobs, engine)
     remove_orphaned_files()
-    restarts = Counter[str]()
+    restarts, own = Counter[str](), folder_of(type(suite)) is not None
     while True:
         try:
             for case, game in _games(suite, config, run, jobs, engine):
                 row = {"suite": suite.name, "case": case.id, **game.row}
                 if case.timing == "wall":
                     row |= disturbances(row, restarts[case.id])
+                if own:
+                    _check_form(suite, row, game.arrays)
                 if game.arrays:
                     row |= run.save_arrays(case.id, game.arrays)
                 run.append_row(row, on_disk=not game.next_is_ready)
@@ -141,6 +146,15 @@ def run_suite(
             suite.prepare(config, run)
         finally:
             run.write_waiting()
+
+
+def _check_form(suite: AnySuite, row: Row, arrays: Mapping[str, Any]) -> None:
+    """Raise UserError unless row and arrays have the form that is asked of them whenever they are read."""
+    where, read = f"{suite.name}: fly of {row['case']}", parse_json(to_json(row))
+    if arrays:
+        read.update(arrays="", arrays_sha256="")  # which they get as they are saved
+        suite.form.check_arrays({name: np.asarray(array) for name, array in arrays.items()}, read, where, "")
+    suite.form.check_row(read, f"{where}: its row", "")
 
 
 def _left(suite: AnySuite, config: Experiment, run: RunDirectory) -> Iterator[Case]:
@@ -192,10 +206,14 @@ def _own_errors(suite: AnySuite, config: Experiment) -> Iterator[None]:
 
         if isinstance(error, BatchError | ServerGoneError):
             raise
-        environment = getattr(config, "environment_class", None)
-        own = (environment, environment.task_class) if environment else ()
-        with errors_named(files_of(type(suite), *own)):
+        with errors_named(_own_files(suite, config)):
             raise
+
+
+def _own_files(suite: AnySuite, config: Experiment) -> list[Path]:
+    """Return the files of a suite or an environment of one's own."""
+    environment = getattr(config, "environment_class", None)
+    return files_of(type(suite), *((environment, environment.task_class) if environment else ()))
 
 
 _OPENED: dict[tuple[str, str], tuple[AnySuite, Opened, ExitStack]] = {}  # by the run's folder, and timing
@@ -238,11 +256,7 @@ def fly_case(suite: AnySuite, config: Experiment, case: Case, opened: Opened) ->
             raise UserError(f"{where}: its row has to be a mapping, of no other case")
         if wrong := [name for name in game.row if not isinstance(name, str)]:
             raise UserError(f"{where}: its row has {wrong[0]!r} for a name, which has to be a text")
-        for name, value in {**game.row, **game.host}.items():
-            try:
-                json.dumps(parse_json(to_json({name: value})), ensure_ascii=False).encode()
-            except (TypeError, ValueError) as error:
-                raise UserError(f"{where}: its row is no JSON: {name!r}: {error}") from None
+        check_json({**game.row, **game.host}, f"{where}: its row")
         if not isinstance(game.arrays, Mapping) or not all(map(_is_array, game.arrays.values())):
             raise UserError(f"{where}: its arrays have to be a mapping of numbers, in rows of equal length")
     return replace(game, host={**host, **game.host})
@@ -251,7 +265,7 @@ def fly_case(suite: AnySuite, config: Experiment, case: Case, opened: Opened) ->
 def _is_array(value: object) -> bool:
     try:
         return not np.asarray(value).dtype.hasobject
-    except ValueError:  # rows of different lengths
+    except (TypeError, ValueError, RuntimeError):  # rows of different lengths, or a tensor that is being trained
         return False
 
 

@@ -6,7 +6,7 @@ import shlex
 import sys
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, get_origin
@@ -17,7 +17,7 @@ from uavaccel.config import load_yaml, parse_override, schema
 from uavaccel.errors import Interrupted, UsageError, UserError, mistake_of
 from uavaccel.files import Plain, check_new_folder
 from uavaccel.machine import describe_run
-from uavaccel.own_code import modules_in, trusting
+from uavaccel.own_code import errors_named, files_of, modules_in, trusting
 from uavaccel.processes.workers import LOKY
 from uavaccel.records import RunDirectory, refuse_other_config, timing_provenance
 from uavaccel.suites.experiment import Experiment, timing_of
@@ -71,11 +71,13 @@ def reading(request: RunRequest) -> Iterator[tuple[AnySuite, Any]]:
     experiment = request.experiment
     mapping, source = _of_the_run(request) if experiment is None else read_mapping(experiment)
     beside = folder_beside(experiment) if experiment is not None and is_file(experiment) else None
-    with trusting(request.trust or beside is not None, beside, None if request.trust else modules_in(mapping)):
+    only = None if request.trust else modules_in(mapping)
+    with trusting(request.trust or beside is not None, beside, only), ExitStack() as own:
         if experiment is None:
             suite, mapping, request = _as_begun(suite_of(RunDirectory(source)), mapping, request)
         else:
             suite = find_suite(dict(map(parse_override, request.overrides)).get("suite", mapping.get("suite")), source)
+        own.enter_context(errors_named(files_of(type(suite))))
         if request.suite not in (None, suite.name, PART_OF.get(suite.name)):
             named = PART_OF.get(suite.name, suite.name)
             command = named if named in ("train", "evaluate") else "run"
@@ -245,6 +247,11 @@ def planned(request: RunRequest) -> Iterator[Plan]:
             refuse_other_config(out, config, suite.may_grow(out))
             _refuse_other_experiments(out, config)
         flown = RunDirectory(out).done_cases() if begun else set()
+        if strange := sorted(flown - {case.id for case in cases}):
+            raise UserError(
+                f"{out}: has flown {strange[0]}, which is no case of {suite.name} now: its code has to name the same "
+                "cases each time; restore it, or take another --out"
+            )
         yield Plan(suite, config, cases, [case for case in cases if case.id not in flown], out, request)
 
 
@@ -289,6 +296,9 @@ def resumption_notes(run: RunDirectory, games: str, now: Mapping[str, Plain]) ->
     first, commit = (each.get("git") or {} for each in (manifest, now))
     if first.get("commit") and commit.get("commit") and first["commit"] != commit["commit"]:
         yield f"warning: begun with another commit of uavaccel: {first['commit'][:12]}, now {commit['commit'][:12]}"
+    first, own = (each.get("own_code_sha256") or {} for each in (manifest, manifest.get("resumed", [manifest])[-1]))
+    if edited := [name for name, sha256 in own.items() if first.get(name, sha256) != sha256]:
+        yield f"warning: {', '.join(edited)}: changed since the run was begun"
 
 
 @contextmanager

@@ -10,6 +10,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
+from operator import itemgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Generic, Protocol, TypeAlias, TypeVar
 
@@ -22,6 +23,7 @@ from uavaccel.forms import ArrayForm, RowForm
 from uavaccel.machine import gpu
 from uavaccel.records import RunDirectory
 from uavaccel.suites.experiment import Experiment, GameRow, Row
+from uavaccel.units import real
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -144,9 +146,10 @@ class Suite(ABC, Generic[ConfigType, CaseType]):
 
     def source(self, report: Report) -> str:
         """Return where the page's numbers come from, which it says once: clocks, games, seeds."""
-        from uavaccel.suites.report import source_line
+        from uavaccel.suites.report import CLOCK, source_line
 
-        return source_line(report.games) if "timing" in report.games else ""
+        timings = report.games.get("timing", default=())
+        return source_line(report.games) if len(timings) and all(each in [*CLOCK] for each in timings) else ""
 
     def overview(self, report: Report) -> Table | None:
         """Return the result in a small table, which is printed when the run ends."""
@@ -155,7 +158,7 @@ class Suite(ABC, Generic[ConfigType, CaseType]):
     def page(self, report: Report) -> Iterator[Block | str]:
         """Yield the blocks of the page; configuration and manifest are added below them."""
         names = [name for name in report.games if name not in ("suite", "arrays", "arrays_sha256")]
-        yield Table.of(report.games, {name: f"{{{name}}}" for name in names})
+        yield Table.of(report.games, {name: itemgetter(name) for name in names})
 
     def flight(
         self, report: Report, game: Mapping[str, Any], pictures: bool = True, event_rate_hz: float | None = None
@@ -166,7 +169,7 @@ class Suite(ABC, Generic[ConfigType, CaseType]):
         `event_rate_hz`, where it is flown again, those of a second event camera. By default a flight is read from the
         game's arrays, if they have the names of a recording's. Raises UserError where nothing was kept of it.
         """
-        from uavaccel.suites.flight import ARRAYS, Flight
+        from uavaccel.suites.flight import ARRAYS, FLIGHT, Flight
 
         if "arrays" not in game:
             raise UserError(
@@ -176,7 +179,9 @@ class Suite(ABC, Generic[ConfigType, CaseType]):
         arrays = report.run.load_arrays(game)
         if missing := [name for name in ARRAYS if name not in arrays]:
             raise UserError(f"{report.run.path}: the arrays of {game['case']} have no {', '.join(missing)}")
-        return Flight.of(f"{game['case']}", float(game.get("clock_speed", 1.0)), arrays)
+        RowForm(GameRow, arrays=FLIGHT).check_arrays(arrays, {}, f"{report.run.path}: {game['case']}", "")
+        speed = real(game.get("clock_speed"))
+        return Flight.of(f"{game['case']}", speed if speed is not None and speed > 0 else 1.0, arrays)
 
     def interest(self, row: Row) -> Any:
         """Return a key that sorts games, the most interesting first: references last, the fastest first, TCSC's first.
