@@ -306,6 +306,7 @@ HOVER: dict[str, Any] = {"timing": "virtual"}
         ({"latency_s": "nowhere.yaml"}, "nowhere.yaml: No such file or directory"),
         ({"latency_s": []}, r"latency_s: a sample is a list of seconds, not \[\]"),
         ({"latency_s": ["0.1"]}, r"latency_s: a sample is a list of seconds, not \['0.1'\]"),
+        ({"latency_s": b"x"}, "latency_s: must be seconds, .*, not b"),
         ({"latency_s": {}}, "latency_s: must be seconds, a list of them, a calibration file"),
         ({"delay_steps": 1}, "latency_s, delay_steps: each says how long the agent thinks; give one of them"),
         ({"latency_s": None, "delay_steps": 0.5}, "delay_steps: must be a count of control periods, or a list .* 0.5"),

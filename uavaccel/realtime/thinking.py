@@ -238,7 +238,7 @@ def thinking_time(latency_s: object) -> ThinkingTime:
         return samples([seconds])
     if isinstance(latency_s, str | Path):
         return Measured() if latency_s == MEASURED else calibrated(latency_s)
-    if isinstance(latency_s, Sequence | np.ndarray):
+    if isinstance(latency_s, Sequence | np.ndarray) and not isinstance(latency_s, bytes):
         return samples(latency_s)
     if hasattr(latency_s, "sample_ns") and hasattr(latency_s, "observed"):
         return latency_s
