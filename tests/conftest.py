@@ -54,8 +54,8 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 def own_state(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     """Keep what tests trust out of the user's own state, also in the programs that they start.
 
-    Nothing of a test has to survive a loss of power, so no file waits for the disk. Figures take longer to draw than
-    most tests' flights: in place of each a few bytes are written, but by `save` itself, which tests/test_draw.py has.
+    Nothing of a test has to survive a loss of power, so no file waits for the disk. A figure takes longer to draw than
+    most tests' flights, so a few bytes are written in its place; tests/test_draw.py calls `save` itself.
     """
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(os, "fsync", lambda descriptor: None)
@@ -64,15 +64,15 @@ def own_state(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
         yield
 
 
+LAID_OUT: set[str] = set()
+
+
 def lay_out(figure: Any, path: Path) -> Path:
-    """Lay a figure out instead of drawing it, the first of its name."""
+    """Do not draw a figure, but lay out the first of each name, so that what cannot be drawn is heard."""
     if path.stem not in LAID_OUT:
         LAID_OUT.add(path.stem)
         figure.draw_without_rendering()
     return write_no_picture(path)
-
-
-LAID_OUT: set[str] = set()
 
 
 def write_no_picture(path: Path) -> Path:

@@ -296,8 +296,9 @@ def resumption_notes(run: RunDirectory, games: str, now: Mapping[str, Plain]) ->
     first, commit = (each.get("git") or {} for each in (manifest, now))
     if first.get("commit") and commit.get("commit") and first["commit"] != commit["commit"]:
         yield f"warning: begun with another commit of uavaccel: {first['commit'][:12]}, now {commit['commit'][:12]}"
-    first, own = (each.get("own_code_sha256") or {} for each in (manifest, manifest.get("resumed", [manifest])[-1]))
-    if edited := [name for name, sha256 in own.items() if first.get(name, sha256) != sha256]:
+    latest = (manifest.get("resumed") or [manifest])[-1]
+    begun, own = (each.get("own_code_sha256") or {} for each in (manifest, latest))
+    if edited := [name for name, sha256 in own.items() if begun.get(name, sha256) != sha256]:
         yield f"warning: {', '.join(edited)}: changed since the run was begun"
 
 
