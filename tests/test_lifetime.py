@@ -70,11 +70,13 @@ def test_one_whose_parent_was_killed_before_ends_at_once() -> None:
 
 
 def test_a_worker_does_not_hear_ctrl_c_before_it_is_bound_to_its_parent(monkeypatch: pytest.MonkeyPatch) -> None:
-    def interrupted(parent: int) -> None:
-        signal.raise_signal(signal.SIGINT)
-        lifetime.work_for_parent(parent)
+    begin = workers.begin_worker
 
-    monkeypatch.setattr(workers, "work_for_parent", interrupted)
+    def interrupted(parent: int, path: tuple[str, ...]) -> None:
+        signal.raise_signal(signal.SIGINT)
+        begin(parent, path)
+
+    monkeypatch.setattr(workers, "begin_worker", interrupted)
     blocked: workers.Delayed = (signal.pthread_sigmask, (signal.SIG_BLOCK, ()), {})
     assert list(workers.on_this_machine(2, 1, [blocked])) == [set()]  # nor is it deaf to its own any more
     assert signal.pthread_sigmask(signal.SIG_BLOCK, ()) == set()

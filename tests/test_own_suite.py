@@ -18,6 +18,7 @@ from uavaccel import VelocityGoal, open_session, tcsc
 from uavaccel.cli.main import app
 from uavaccel.errors import UserError
 from uavaccel.own_code import file_beside, folder_of, look_also_in, own_function, trusting
+from uavaccel.processes.workers import on_this_machine
 from uavaccel.resources import asset
 from uavaccel.rl.policy import MANIFEST, read_manifest
 from uavaccel.suites.registry import find_suite
@@ -42,6 +43,7 @@ def home(tmp_path_factory: pytest.TempPathFactory) -> Path:
         patch.chdir(folder)
         patch.setattr(sys, "path", [*sys.path])
         forget_own_code(patch)
+        assert [*on_this_machine(2, 1, [(abs, (-1,), {})] * 2)] == [1, 1]  # by workers that do not know this folder
         app(RUN, standalone_mode=False)
     for name in modules_below(folder):
         del sys.modules[name]

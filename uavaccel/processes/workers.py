@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import os
+import sys
 import warnings
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any
 
 from uavaccel.errors import UsageError, UserError
@@ -33,8 +34,8 @@ def on_this_machine(jobs: int, batch: int, calls: Iterable[Delayed]) -> Iterator
     from joblib import Parallel, parallel_config
     from joblib.externals.loky.process_executor import TerminatedWorkerError
 
-    # workers end with this process from the start, before they import what takes seconds
-    bound = {"initializer": work_for_parent, "initargs": (os.getpid(),)}
+    # workers of an earlier call serve again, unless code is looked up in another folder since
+    bound = {"initializer": begin_worker, "initargs": (os.getpid(), tuple(sys.path))}
     with parallel_config(backend=LOKY, inner_max_num_threads=1, **bound):
         ahead = f"{batch}*n_jobs"  # a longer queue would delay an interruption
         results: Any = None
@@ -52,3 +53,9 @@ def on_this_machine(jobs: int, batch: int, calls: Iterable[Delayed]) -> Iterator
                 with warnings.catch_warnings():
                     warnings.simplefilter("ignore")  # of calls that an interruption cancels
                     results.close()
+
+
+def begin_worker(parent: int, path: Sequence[str]) -> None:
+    """End with the parent from the start, before imports that take seconds, and find the modules that it finds."""
+    work_for_parent(parent)
+    sys.path[:] = path
