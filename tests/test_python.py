@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import subprocess
 import sys
 from collections.abc import Callable
@@ -145,6 +146,18 @@ def test_trainings_and_evaluations_are_flown_from_python(tmp_path: Path) -> None
     mistaken: dict[str, Any] = {"gamess": 3}
     with pytest.raises(UserError, match="unknown key 'gamess'; did you mean 'games'"):
         uavaccel.train(out=tmp_path / "wrong", **mistaken)
+
+
+@pytest.mark.slow
+def test_processes_fly_a_folder_s_next_run_by_its_own_keys(tmp_path: Path) -> None:
+    """They stay for the next run of the program, and have opened the environment of the one before."""
+    flown = []
+    for speed in (1.0, 2.0):
+        task = {"speed_m_s": speed, "max_commands": 3, "observation": "state"}
+        flown.append(uavaccel.evaluate("straight", out=tmp_path / "run", jobs=2, games=2, task=task).rows())
+        shutil.rmtree(tmp_path / "run")
+    slow, fast = ([row["distance_m"] for row in rows] for rows in flown)
+    assert slow[0] == slow[1] < 3.0 < fast[0] == fast[1]
 
 
 # --- types ------------------------------------------------------------------------------------------------------------

@@ -16,7 +16,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import replace
 from functools import partial
-from itertools import groupby, islice
+from itertools import count, groupby, islice
 from pathlib import Path
 from typing import Any, get_args
 
@@ -122,10 +122,10 @@ def run_suite(
     """
     check_jobs(suite, config, jobs, engine)
     remove_orphaned_files()
-    restarts, own = Counter[str](), folder_of(type(suite)) is not None
+    restarts, own, flown = Counter[str](), folder_of(type(suite)) is not None, (os.getpid(), next(_RUNS))
     while True:
         try:
-            for case, game in _games(suite, config, run, jobs, engine):
+            for case, game in _games(suite, config, run, jobs, engine, flown):
                 row = {"suite": suite.name, "case": case.id, **game.row}
                 if case.timing == "wall":
                     row |= disturbances(row, restarts[case.id])
@@ -164,7 +164,7 @@ def _left(suite: AnySuite, config: Experiment, run: RunDirectory) -> Iterator[Ca
 
 
 def _games(
-    suite: AnySuite, config: Experiment, run: RunDirectory, jobs: int, engine: str
+    suite: AnySuite, config: Experiment, run: RunDirectory, jobs: int, engine: str, flown: Flown
 ) -> Iterator[tuple[Case, GameResult]]:
     """Fly the cases without a row, in their order, those that follow each other with a timing and a stage at a time."""
     from uavaccel.envs.environment_process import BatchError
@@ -176,8 +176,8 @@ def _games(
 
             folder = run.path.resolve()  # workers may have another working directory
             place = own_folder(suite, config) or trusted_folder()
-            calls = (delayed(_fly_in_worker)(config, case, folder, place) for case in cases)
-            games = in_parallel(engine, jobs, suite.batch, calls, partial(_leave_in_worker, str(folder)))
+            calls = (delayed(_fly_in_worker)(config, case, folder, place, flown) for case in cases)
+            games = in_parallel(engine, jobs, suite.batch, calls, partial(_leave_in_worker, flown))
             yield from zip(cases, games, strict=True)
             continue
         try:
@@ -216,14 +216,23 @@ def _own_files(suite: AnySuite, config: Experiment) -> list[Path]:
     return files_of(type(suite), *((environment, environment.task_class) if environment else ()))
 
 
-_OPENED: dict[tuple[str, str], tuple[AnySuite, Opened, ExitStack]] = {}  # by the run's folder, and timing
+Flown = tuple[int, int]
+"""A run that is flown: the process that flies it, and which of that process's runs it is. Folders are used again."""
+_RUNS = count()
+_OPENED: dict[tuple[Flown, str], tuple[AnySuite, Opened, ExitStack]] = {}  # by timing, too
 
 
-def _fly_in_worker(config: Experiment, case: Case, folder: Path, place: Path | None) -> GameResult:
-    """Fly a case in this worker process, which keeps what it opened; own code runs, also of `place`."""
-    key = (str(folder), case.timing)
+def _fly_in_worker(config: Experiment, case: Case, folder: Path, place: Path | None, flown: Flown) -> GameResult:
+    """Fly a case in this worker process, which keeps what it opened; own code runs, also of `place`.
+
+    What it opened for the runs before of the same process is closed.
+    """
+    key = flown, case.timing
     with trusting(beside=place):
         if key not in _OPENED:
+            for before, _ in list(_OPENED):
+                if before[0] == flown[0] and before != flown:
+                    _leave_in_worker(before)
             if threading.current_thread() is threading.main_thread():  # Dask's workers fly in another one
                 work_for_parent(os.getppid())
             # software rendering leaves the other cores to the other workers
@@ -233,15 +242,15 @@ def _fly_in_worker(config: Experiment, case: Case, folder: Path, place: Path | N
             left = ExitStack()
             with _own_errors(suite, config):
                 _OPENED[key] = suite, left.enter_context(_opened(suite, config, case.timing, run)), left
-            atexit.register(_leave_in_worker, str(folder))  # where this process ends with the run
+            atexit.register(_leave_in_worker, flown)  # where this process ends with the run
         suite, opened, _ = _OPENED[key]
         with _own_errors(suite, config):
             return fly_case(suite, config, case, opened)
 
 
-def _leave_in_worker(folder: str) -> None:
-    """Close what this worker process opened for the run in a folder."""
-    for key in [key for key in _OPENED if key[0] == folder]:
+def _leave_in_worker(flown: Flown) -> None:
+    """Close what this worker process opened for a run."""
+    for key in [key for key in _OPENED if key[0] == flown]:
         _OPENED.pop(key)[-1].close()
 
 
