@@ -73,10 +73,10 @@ def cases_of(suite: AnySuite, config: Experiment) -> list[Case]:
         raise UserError(f"{suite.name}: there is no game to fly: cases is empty")
     if len(cases) > MOST_GAMES:
         raise UserError(f"more than {MOST_GAMES} games in all: fewer games, or fewer values to combine")
-    for name, count in Counter(case.id for case in cases).items():
+    for name, number in Counter(case.id for case in cases).items():
         if not is_file_name(name):
             raise UserError(f"{suite.name}: a case cannot be called {name!r}: its name is that of a file")
-        if count > 1:
+        if number > 1:
             raise UserError(f"{suite.name}: two cases are called {name!r}")
     return cases
 
