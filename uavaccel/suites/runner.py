@@ -256,9 +256,10 @@ def _leave_in_worker(flown: Flown) -> None:
 
 def fly_case(suite: AnySuite, config: Experiment, case: Case, opened: Opened) -> GameResult:
     """Fly a case, and add the host's time and load. Raises UserError where a custom suite's result is none."""
-    game, host = timed(lambda: suite.fly(config, case, opened))
+    where, own = f"{suite.name}: fly of {case.id}", files_of(type(suite))
+    with errors_named(own, where):
+        game, host = timed(lambda: suite.fly(config, case, opened))
     if own_folder(suite, config) is not None:
-        where = f"{suite.name}: fly of {case.id}"
         if not isinstance(game, GameResult):
             raise UserError(f"{where} returned a {type(game).__name__}, not a uavaccel.suites.suite.GameResult")
         if not isinstance(game.row, dict) or game.row.get("case", case.id) != case.id:
