@@ -579,9 +579,18 @@ TWO_SAMPLES_OF_ONE_TICK: Keys = {
 }
 """A stall puts both samples of a command on a tick of the event camera's; the second sees its frame all the same."""
 
+STALE_FOR_THE_GUARD: Keys = {
+    **TWO_SAMPLES_OF_ONE_TICK,
+    "clock_speed": 1.0,
+    "latency": {**TWO_SAMPLES_OF_ONE_TICK["latency"], "platform": {"frames": {"hz": 60.0, "stale_pose": True}}},
+    "difficulty": {"first_row_m": 1.28},
+}
+"""The event camera has a frame of the sample's own tick; the guard judges the stale one, of another brightness."""
+
 
 @pytest.mark.slow
 @settings(FIXTURES, max_examples=6)
+@example(Case(ObstacleLane, STALE_FOR_THE_GUARD, seed=10, commands=5, noise=0.5, work_s=0.0))
 @example(Case(ObstacleLane, TWO_SAMPLES_OF_ONE_TICK, seed=0, commands=5, noise=0.5, work_s=0.0))
 @example(Case(ObstacleLane, HIT_BETWEEN_FRAMES, seed=0, commands=5, noise=0.0, work_s=0.0))
 @example(Case(ObstacleLane, OTHER_LIGHT, seed=0, commands=5, noise=0.5, work_s=0.0))

@@ -385,12 +385,18 @@ def fly_command(lane: int, goals: Operand, work: Work, frames: Operand, samples:
 
 @part(error_model="numpy")
 def observe_sample(lane: int, seen: bool, work: Work, frame: Operand) -> None:
-    """Write the frame of a sample; `seen` says that the event camera has recorded its tick already."""
-    is_dvs, stale = work.cameras.kind == DVS, work.plan.timing.rules[timeline.STALE_POSE]
-    if not seen:
+    """Write the frame of a sample; `seen` says that the event camera has recorded its tick already.
+
+    The guard judges the sample's picture, of a stale pose where there are any, which the event camera may not see.
+    """
+    view, rules = work.cameras, work.plan.timing.rules
+    is_dvs, stale = view.kind == DVS, rules[timeline.STALE_POSE]
+    if not seen or (stale and rules[timeline.GUARDED]):
         if stale:
             turn_to_shown(lane, work.now, work.clocks)
-        if is_dvs:
+        if seen:
+            render_gray(lane, view.looks, work.games, work.now, work.plan.tick_ns, work.scratch, work.picture)
+        elif is_dvs:
             observe_events(lane, work)
         else:
             render_frame(lane, work, frame)
