@@ -42,9 +42,10 @@ gc.disable()
 # What typer makes of the commands is put together once, not whenever a test runs one.
 typer.main.get_command = cache(typer.main.get_command)
 
-# How long an example takes says something about the machine's other work alone. Each run draws other examples.
-settings.register_profile("untimed", max_examples=50, deadline=None, suppress_health_check=[HealthCheck.too_slow])
-settings.load_profile("untimed")
+# How long an example takes says something about the machine's other work alone. A run has the examples of the last.
+settings.register_profile("drawn", max_examples=50, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.register_profile("repeated", settings.get_profile("drawn"), derandomize=True)
+settings.load_profile("repeated")
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     # In the background of a shell Ctrl-C is ignored, by the programs that tests start too.
     signal.signal(signal.SIGINT, signal.default_int_handler)
