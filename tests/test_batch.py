@@ -191,9 +191,10 @@ def test_pictures_without_opengl_are_refused_at_once(monkeypatch: pytest.MonkeyP
 @pytest.mark.skipif(sys.platform != "linux", reason="looks into /proc")
 def test_an_answer_comes_while_another_lane_stands_still(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(environment_process, "POLL_S", 0.1)
-    with closing(EnvironmentBatch(ObstacleLane, 2, 2, observation="state")) as batch:
+    with closing(EnvironmentBatch(ObstacleLane, 2, 5, observation="state")) as batch:
         batch.reset(seed=0)
         pids = batch.process_ids
+        assert len(pids) == batch.processes == 2  # one for each lane at most
         os.kill(pids[0], signal.SIGSTOP)
         while state_of(pids[0]) != "T":
             pass

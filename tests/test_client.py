@@ -237,13 +237,17 @@ def test_a_game_is_the_same_whatever_was_called_before_it(seed: int) -> None:
 
 
 def test_a_lane_is_laid_out_before_the_game() -> None:
-    """Its wind blows: the vehicle in a hover is carried along."""
+    """Its wind blows: the vehicle in a hover is carried along. Each game has its own lane, 0 too."""
     lane = {"obstacles": [{"x_m": 5.0, "y_m": 0.0, "radius_m": 0.5}], "wind_m_s": [0.0, 4.0, 0.0]}
     with VirtualSession("lane", "native") as session:
         calm = session.start_game(1.0, height_m=-2.0, lane={"obstacles": []}).continue_for(1000 * MS)
         windy = session.start_game(1.0, height_m=-2.0, lane=lane).continue_for(1000 * MS)
+        games = (session.start_game(1.0, lane=each) for each in (1, 0, {"seed": 0}, 1))
+        first, *others = [client.call("simGetObjectPose", "obstacle_00") for client in games]
     assert abs(calm.position_m[1]) < 1e-3
     assert windy.position_m[1] > 0.01
+    assert [each == first for each in others] == [False, False, True]
+    assert others[0] == others[1]
 
 
 def test_a_flight_goes_on_in_another_scenery() -> None:

@@ -56,13 +56,17 @@ def test_no_graph_is_replayed_before_its_recording_is_over(monkeypatch: pytest.M
 def test_resets_take_options_and_actions_are_looked_at() -> None:
     from uavaccel.envs.cuda_batch import CudaBatch
 
-    with closing(CudaBatch(ObstacleLane, 2, observation="state", max_commands=1)) as batch:
+    keys: Any = {"observation": "state", "max_commands": 1, "autoreset_mode": "SameStep"}
+    with closing(CudaBatch(ObstacleLane, 2, **keys)) as batch, closing(KernelBatch(ObstacleLane, 2, **keys)) as cores:
         with pytest.raises(UserError, match=r"^reset the environments before their first step$"):
             batch.step([2, 2])
-        for _ in range(2):
-            batch.reset(options={"lane": 7})
-            infos = batch.step([2, 2])[4]
-            assert infos["final_info"]["lane"].tolist() == [7, 7]
+        flown = []
+        for each in (batch, cores, batch):
+            each.reset(seed=3, options={"lane": 7})
+            infos = [each.step([2, 2])[4] for _ in range(3)]
+            flown.append([told["final_info"]["lane"].tolist() for told in infos])
+        assert flown[0] == flown[1] == flown[2]
+        assert flown[0][0] == [7, 7] != flown[0][1]  # of the next game nothing is given
         for wrong in ([2, 5], [2], [2.0, 2.0], np.array([-1, 0])):
             with pytest.raises(UserError, match=r"^actions .* are not in the action space"):
                 batch.step(wrong)
