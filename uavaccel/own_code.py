@@ -27,6 +27,8 @@ from typing import Any
 from uavaccel.errors import UserError, suggestion
 from uavaccel.files import read_bounded, replacing
 
+Stamp = tuple[int, int] | None
+"""Changes with a file: when it was written, and its size; None without a file."""
 _trusted: list[tuple[Path | None, frozenset[str] | None]] = []
 """What the user has said so far: the folder beside the working directory, and the modules that may run; None: all."""
 RELATIVE = re.compile(rb"^[ \t]*from[ \t]+\.", re.MULTILINE)
@@ -40,6 +42,8 @@ _noted: list[Path] = []
 """Folders that runs and policies name, in which only remembered code may run."""
 _imported: dict[str, Path] = {}
 """The files of the modules that were imported in this process."""
+_projects: dict[Path, dict[Path, Stamp]] = {}
+"""The folders from which they were imported, and the files that were read there, theirs too, with their stamps."""
 _importing: list[Path | str] = []
 """Those that are being imported."""
 
@@ -154,6 +158,7 @@ def own_module(name: str, where: str) -> ModuleType:
     sys.path[:] = [str(folder), *(place for place in sys.path if place != str(folder))]
     if name in _imported:  # from another project of this process
         sys.modules.pop(name, None)
+    _forget_namesakes(folder)
     try:
         with errors_named(file, where):
             module = import_alone(name, file)
@@ -162,7 +167,54 @@ def own_module(name: str, where: str) -> ModuleType:
     if Path(module.__file__ or "").resolve() != file:
         raise UserError(f"{where}: {file} has the name of another module, {module.__file__}; rename it")
     _imported[name] = file
+    _projects.setdefault(folder, {}).update((each, stamp(each)) for each in _modules_from(folder).values())
     return module
+
+
+def stamp(file: Path) -> Stamp:
+    """Return the stamp of a file."""
+    try:
+        found = file.stat()
+    except OSError:
+        return None
+    return found.st_mtime_ns, found.st_size
+
+
+def imported_code() -> tuple[tuple[str, Stamp], ...]:
+    """Return the files of own code that were imported in this process, as they were then."""
+    return tuple((str(file), then) for files in _projects.values() for file, then in files.items())
+
+
+def code_state() -> tuple[object, ...]:
+    """Return what decides which class a name means: where code is looked up, and what was imported."""
+    return (*_folders(), *imported_code())
+
+
+def forget_changed() -> None:
+    """Forget the own code of folders in which a file has changed since: in a notebook, code is edited between runs."""
+    for folder, files in _projects.items():
+        if any(stamp(file) != then for file, then in files.items()):
+            files.clear()
+            for name in _modules_from(folder):
+                del sys.modules[name]
+
+
+def _forget_namesakes(folder: Path) -> None:
+    """Forget modules from other folders of own code whose names mean what is in this one."""
+    for other in _projects.keys() - {folder}:
+        for name in _modules_from(other):
+            if any((folder / f"{name.partition('.')[0]}{suffix}").exists() for suffix in ("", ".py")):
+                del sys.modules[name]
+
+
+def _modules_from(folder: Path) -> dict[str, Path]:
+    """Return the modules that were imported from a folder, by name, with their files; none of this package."""
+    found = {}
+    for name, module in [*sys.modules.items()]:
+        place, file = f"{folder}/{name.replace('.', '/')}", getattr(module, "__file__", None)
+        if file in (f"{place}.py", f"{place}/__init__.py") and name.partition(".")[0] != __package__:
+            found[name] = Path(file)
+    return found
 
 
 def import_alone(name: str, file: Path | None = None) -> ModuleType:

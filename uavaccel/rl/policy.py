@@ -23,7 +23,7 @@ from uavaccel.envs.values import Observation
 from uavaccel.errors import UserError
 from uavaccel.files import ARRAYS_BYTES, Plain, file_sha256, open_bounded, parse_json, read_bounded, replacing, to_json
 from uavaccel.forms import check
-from uavaccel.own_code import folder_of, look_also_in
+from uavaccel.own_code import code_state, folder_of, look_also_in, stamp
 from uavaccel.resources import require
 from uavaccel.rl.config import DOUBLE_DQN, PPO, LearnerConfig, check_options
 
@@ -169,20 +169,16 @@ def trained_with(folder: Path) -> Mapping[str, Plain]:
 
 
 def _by_stamps(read: Callable[[Path], R]) -> Callable[[Path], R]:
-    """Let a function of a policy's folder read it again only where a file has changed: a sweep asks in each case."""
+    """Let a function of a policy's folder read it again only where a file has changed, or its task's code.
+
+    A sweep asks in each case.
+    """
 
     @lru_cache(maxsize=4)
-    def cached(path: Path, *stamps: tuple[int, int] | None) -> R:
+    def cached(path: Path, *state: object) -> R:
         return read(path)
 
-    def stamp(file: Path) -> tuple[int, int] | None:
-        try:
-            found = file.stat()
-        except OSError:
-            return None
-        return found.st_mtime_ns, found.st_size
-
-    return wraps(read)(lambda path: cached(path, stamp(path / MANIFEST), stamp(path / WEIGHTS)))
+    return wraps(read)(lambda path: cached(path, stamp(path / MANIFEST), stamp(path / WEIGHTS), code_state()))
 
 
 def read_manifest(path: Path) -> tuple[Mapping[str, Plain], LearnerConfig]:
