@@ -20,9 +20,10 @@ from uavaccel.cli.main import app
 from uavaccel.errors import UserError
 from uavaccel.own_code import file_beside, folder_of, imported_code, look_also_in, own_function, trusting
 from uavaccel.processes.workers import on_this_machine
+from uavaccel.records import RunDirectory
 from uavaccel.resources import asset
 from uavaccel.rl.policy import MANIFEST, read_manifest
-from uavaccel.suites.registry import find_suite
+from uavaccel.suites.registry import find_suite, suite_of
 
 pytestmark = pytest.mark.usefixtures("whole_messages")
 
@@ -171,6 +172,11 @@ def test_of_modules_of_one_name_a_run_means_that_of_its_folder(here: Path) -> No
     for folder in (*folders, folders[0]):
         read_manifest(folder)
         assert folder_of(type(find_suite("toy:Toy", "toy.yaml"))) == folder
+    (here / "toy.py").write_text(BLOCKS["python"])
+    (folder / "config.yaml").write_text("{suite: toy:Toy, training: {env_id: 'toy.py:Toy', agent: 'offset:1'}}")
+    (folder / "manifest.json").write_text(json.dumps({"own_code": str(folder)}))
+    assert folder_of(type(suite_of(RunDirectory(folder)))) == folder, "not that of the working directory"
+    assert RunDirectory(folder).config()["training"] == {"env_id": f"{folder}/toy.py:Toy", "agent": "offset:1"}
 
 
 FOREIGN = """

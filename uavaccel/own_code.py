@@ -35,6 +35,8 @@ RELATIVE = re.compile(rb"^[ \t]*from[ \t]+\.", re.MULTILINE)
 """Begins an import from the package that a file is in."""
 OUTSIDE = ("/", "../")
 """Begin paths that lead out of the folders in which code is looked up."""
+NAMING = ("suite", "env_id", "agent")
+"""Keys of a run whose values may name code."""
 
 _here: dict[Path, str] = {}
 """What was remembered in this process, which may be unable to write it down."""
@@ -99,6 +101,28 @@ def look_also_in(folder: object) -> None:
     """
     if isinstance(folder, str):
         _noted[:] = dict.fromkeys((Path(folder), *_noted))
+
+
+def as_noted(mapping: Mapping[str, Any], folder: object) -> dict[str, Any]:
+    """Return the mapping of a run or a policy, in which names of code mean that of the folder that it has noted.
+
+    Where they would lead to another file here, of another project, they become paths, if that code is remembered.
+    """
+    if not isinstance(folder, str):
+        return dict(mapping)
+    noted = Path(folder).resolve()
+    return {key: _as_noted(key, value, noted) for key, value in mapping.items()}
+
+
+def _as_noted(key: str, value: Any, noted: Path) -> Any:
+    if isinstance(value, Mapping):
+        return as_noted(value, str(noted))
+    if key not in NAMING or not isinstance(value, str) or ":" not in value:
+        return value
+    here, there = _found_here(module_of(value)), _found_in(noted, module_of(value))
+    if not here or not there or here[1][-1] == (file := there[1][-1]) or _remembered(file) is None:
+        return value
+    return f"{file}:{value.partition(':')[2]}" if imported_from(file) == there[0] else value
 
 
 def own_class(place: str, where: str, *bases: type) -> type[Any]:
@@ -299,9 +323,8 @@ def errors_named(files: Path | Sequence[Path] | None, where: str = "") -> Iterat
 
 def _found(name: str, where: str) -> tuple[Path, list[Path]]:
     """Return the folder in which a module is found, and the files that importing it runs, its own last."""
-    for folder in (folders := _folders()):
-        if found := _found_in(folder, name):
-            return found
+    if found := _found_here(name):
+        return found
     for noted in _noted:
         if (found := _found_in(noted.resolve(), name)) and _remembered(found[1][-1]):
             return found
@@ -312,7 +335,7 @@ def _found(name: str, where: str) -> tuple[Path, list[Path]]:
     if wrong := next((part for part in parts if part and not part.isidentifier()), None):
         better = re.sub(r"\W", "_", wrong)
         raise UserError(f"{where}: {wrong!r} is no name that Python can import: rename it, as to {better!r}")
-    places = " or ".join(map(str, folders))
+    places = " or ".join(map(str, _folders()))
     what = "file" if name.endswith(".py") else "module"
     raise UserError(
         f"{where}: no {what} {name!r} in {places}: own code is looked up in the working directory and beside the "
@@ -324,6 +347,11 @@ def _folders() -> list[Path]:
     """Return the folders in which code is looked up."""
     beside = (folder for folder, _ in reversed(_trusted) if folder is not None)
     return list(dict.fromkeys(folder.resolve() for folder in (*beside, Path.cwd())))
+
+
+def _found_here(name: str) -> tuple[Path, list[Path]] | None:
+    """Return what `_found` does of a module that is in one of these folders."""
+    return next(filter(None, (_found_in(folder, name) for folder in _folders())), None)
 
 
 def _found_in(folder: Path, name: str) -> tuple[Path, list[Path]] | None:

@@ -23,7 +23,7 @@ from uavaccel.envs.values import Observation
 from uavaccel.errors import UserError
 from uavaccel.files import ARRAYS_BYTES, Plain, file_sha256, open_bounded, parse_json, read_bounded, replacing, to_json
 from uavaccel.forms import check
-from uavaccel.own_code import code_state, folder_of, look_also_in, stamp
+from uavaccel.own_code import as_noted, code_state, folder_of, look_also_in, stamp
 from uavaccel.resources import require
 from uavaccel.rl.config import DOUBLE_DQN, PPO, LearnerConfig, check_options
 
@@ -200,7 +200,8 @@ def _read_manifest(path: Path) -> tuple[Mapping[str, Plain], LearnerConfig]:
             f"{path / WEIGHTS}: is not the file that {MANIFEST} describes: another hash; train or copy both files anew"
         )
     look_also_in(manifest.get("own_code"))
-    described = {key: value for key, value in manifest["config"].items() if key in LearnerConfig.model_fields}
+    trained = as_noted(manifest["config"], manifest.get("own_code"))
+    described = {key: value for key, value in trained.items() if key in LearnerConfig.model_fields}
     config = validate(LearnerConfig, described, str(path / MANIFEST))
     try:
         check_options(config)
