@@ -108,21 +108,22 @@ def as_noted(mapping: Mapping[str, Any], folder: object) -> dict[str, Any]:
 
     Where they would lead to another file here, of another project, they become paths, if that code is remembered.
     """
-    if not isinstance(folder, str):
-        return dict(mapping)
-    noted = Path(folder).resolve()
-    return {key: _as_noted(key, value, noted) for key, value in mapping.items()}
+    made = dict(mapping)
+    if isinstance(folder, str):
+        noted = Path(os.path.abspath(folder))
+        made |= {key: _as_noted(made[key], noted) for key in NAMING if key in made}
+        if isinstance(part := made.get("training"), Mapping):  # of several seeds
+            made["training"] = {**part, **{key: _as_noted(part[key], noted) for key in NAMING if key in part}}
+    return made
 
 
-def _as_noted(key: str, value: Any, noted: Path) -> Any:
-    if isinstance(value, Mapping):
-        return as_noted(value, str(noted))
-    if key not in NAMING or not isinstance(value, str) or ":" not in value:
-        return value
-    here, there = _found_here(module_of(value)), _found_in(noted, module_of(value))
+def _as_noted(name: object, noted: Path) -> object:
+    if not isinstance(name, str) or ":" not in name or "\0" in name:
+        return name
+    here, there = _found_here(module_of(name)), _found_in(noted, module_of(name))
     if not here or not there or here[1][-1] == (file := there[1][-1]) or _remembered(file) is None:
-        return value
-    return f"{file}:{value.partition(':')[2]}" if imported_from(file) == there[0] else value
+        return name
+    return f"{file}:{name.partition(':')[2]}" if imported_from(file) == there[0] else name
 
 
 def own_class(place: str, where: str, *bases: type) -> type[Any]:

@@ -235,6 +235,8 @@ def _parsed_manifest(path: Path) -> Mapping[str, Plain]:
     try:
         manifest = parse_json(read_bounded(path / MANIFEST).decode("utf-8"))
     except FileNotFoundError:
+        if (path / "parts").is_dir():
+            raise UserError(f"{path}: holds no policy itself: name a training in {path / 'parts'}") from None
         why = f"no {MANIFEST} in it" if path.is_dir() else "no such folder"
         raise UserError(f"{path}: holds no policy: {why}; name the folder of a training that ended") from None
     except OSError as error:
