@@ -18,7 +18,7 @@ from tests.conftest import forget_own_code, modules_below
 from uavaccel import VelocityGoal, open_session, tcsc
 from uavaccel.cli.main import app
 from uavaccel.errors import UserError
-from uavaccel.own_code import file_beside, folder_of, imported_code, look_also_in, own_function, trusting
+from uavaccel.own_code import as_noted, file_beside, folder_of, imported_code, look_also_in, own_function, trusting
 from uavaccel.processes.workers import on_this_machine
 from uavaccel.records import RunDirectory
 from uavaccel.resources import asset
@@ -177,6 +177,9 @@ def test_of_modules_of_one_name_a_run_means_that_of_its_folder(here: Path) -> No
     (folder / "manifest.json").write_text(json.dumps({"own_code": str(folder)}))
     assert folder_of(type(suite_of(RunDirectory(folder)))) == folder, "not that of the working directory"
     assert RunDirectory(folder).config()["training"] == {"env_id": f"{folder}/toy.py:Toy", "agent": "offset:1"}
+    for strange in ("x" * 5_000, "\0", str(folder)):
+        for name in ("toy:Toy", "../\0.py:A", f"{'x' * 300}:A"):
+            assert as_noted({"agent": name}, strange)["agent"] in (name, f"{folder}/toy.py:Toy")
 
 
 FOREIGN = """

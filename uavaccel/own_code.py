@@ -118,7 +118,7 @@ def as_noted(mapping: Mapping[str, Any], folder: object) -> dict[str, Any]:
 
 
 def _as_noted(name: object, noted: Path) -> object:
-    if not isinstance(name, str) or ":" not in name or "\0" in name:
+    if not isinstance(name, str) or ":" not in name:
         return name
     here, there = _found_here(module_of(name)), _found_in(noted, module_of(name))
     if not here or not there or here[1][-1] == (file := there[1][-1]) or _remembered(file) is None:
@@ -357,7 +357,8 @@ def _found_here(name: str) -> tuple[Path, list[Path]] | None:
 
 def _found_in(folder: Path, name: str) -> tuple[Path, list[Path]] | None:
     """Return what `_found` does of a module that is looked up in this folder; None if it is not there."""
-    if name.startswith(OUTSIDE) and (file := folder.joinpath(name).resolve()).is_file():
+    if name.startswith(OUTSIDE) and os.path.isfile(folder / name):
+        file = folder.joinpath(name).resolve()
         folder = imported_from(file)
         name = module_of(str(file.relative_to(folder)))
     files = _files(folder, name)
@@ -385,7 +386,7 @@ def _files(folder: Path, name: str) -> list[Path]:
         return []
     above = [folder.joinpath(*parts[:count]) / "__init__.py" for count in range(1, len(parts))]
     place = folder.joinpath(*parts)
-    own = next((file for file in (place / "__init__.py", place.with_suffix(".py")) if file.is_file()), None)
+    own = next((file for file in (place / "__init__.py", place.with_suffix(".py")) if os.path.isfile(file)), None)
     return [] if own is None else [file.resolve() for file in (*above, own) if file.is_file()]
 
 
