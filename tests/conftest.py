@@ -279,7 +279,7 @@ def whole_messages(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPat
 
 def forget_own_code(monkeypatch: pytest.MonkeyPatch) -> None:
     """As in a process of its own: nothing is trusted or imported yet."""
-    for name, nothing in (("_here", {}), ("_imported", {}), ("_noted", [])):
+    for name, nothing in (("_here", {}), ("_imported", {}), ("_noted", []), ("_projects", {})):
         monkeypatch.setattr(own_code, name, nothing)
 
 

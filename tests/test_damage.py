@@ -146,6 +146,8 @@ def emptied_and_agreed(folder: Path) -> None:
     (lambda folder: (folder / WEIGHTS).unlink(), r"policy\.pt: cannot be read: No such file"),
     (emptied_and_agreed, r"policy\.pt: .* \(EOFError\); train"),
     (lambda folder: (folder / MANIFEST).unlink(), r"/run: holds no policy: no policy\.json in it; name the folder"),
+    (lambda folder: shutil.copytree(folder, folder / "parts/seed0") and (folder / MANIFEST).unlink(),
+     r"/run: holds no policy itself: name a training in .*/run/parts$"),
     (shutil.rmtree, r"/run: holds no policy: no such folder; name the folder of a training that ended$"),
     (lambda folder: write_weights(folder, [1, 2]), r"policy\.pt: is no state dict of tensors alone"),
     (lambda folder: write_weights(folder, {"trap": Trap(folder / "sprung")}), r"policy\.pt: is no state dict"),

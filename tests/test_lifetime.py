@@ -72,9 +72,9 @@ def test_one_whose_parent_was_killed_before_ends_at_once() -> None:
 def test_a_worker_does_not_hear_ctrl_c_before_it_is_bound_to_its_parent(monkeypatch: pytest.MonkeyPatch) -> None:
     begin = workers.begin_worker
 
-    def interrupted(parent: int, path: tuple[str, ...]) -> None:
+    def interrupted(parent: int, *state: Any) -> None:
         signal.raise_signal(signal.SIGINT)
-        begin(parent, path)
+        begin(parent, *state)
 
     monkeypatch.setattr(workers, "begin_worker", interrupted)
     blocked: workers.Delayed = (signal.pthread_sigmask, (signal.SIG_BLOCK, ()), {})

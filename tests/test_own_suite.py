@@ -13,15 +13,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import uavaccel
 from tests.conftest import forget_own_code, modules_below
 from uavaccel import VelocityGoal, open_session, tcsc
 from uavaccel.cli.main import app
 from uavaccel.errors import UserError
-from uavaccel.own_code import file_beside, folder_of, look_also_in, own_function, trusting
+from uavaccel.own_code import as_noted, file_beside, folder_of, imported_code, look_also_in, own_function, trusting
 from uavaccel.processes.workers import on_this_machine
+from uavaccel.records import RunDirectory
 from uavaccel.resources import asset
 from uavaccel.rl.policy import MANIFEST, read_manifest
-from uavaccel.suites.registry import find_suite
+from uavaccel.suites.registry import find_suite, suite_of
 
 pytestmark = pytest.mark.usefixtures("whole_messages")
 
@@ -170,6 +172,14 @@ def test_of_modules_of_one_name_a_run_means_that_of_its_folder(here: Path) -> No
     for folder in (*folders, folders[0]):
         read_manifest(folder)
         assert folder_of(type(find_suite("toy:Toy", "toy.yaml"))) == folder
+    (here / "toy.py").write_text(BLOCKS["python"])
+    (folder / "config.yaml").write_text("{suite: toy:Toy, training: {env_id: 'toy.py:Toy', agent: 'offset:1'}}")
+    (folder / "manifest.json").write_text(json.dumps({"own_code": str(folder)}))
+    assert folder_of(type(suite_of(RunDirectory(folder)))) == folder, "not that of the working directory"
+    assert RunDirectory(folder).config()["training"] == {"env_id": f"{folder}/toy.py:Toy", "agent": "offset:1"}
+    for strange in ("x" * 5_000, "\0", str(folder)):
+        for name in ("toy:Toy", "../\0.py:A", f"{'x' * 300}:A"):
+            assert as_noted({"agent": name}, strange)["agent"] in (name, f"{folder}/toy.py:Toy")
 
 
 FOREIGN = """
@@ -263,15 +273,31 @@ def test_code_runs_once_it_is_trusted_also_without_a_home(
 
 
 def test_projects_of_one_process_may_have_modules_of_one_name(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """That beside the YAML file goes before that of the working directory."""
+    """That beside the YAML file goes before that of the working directory, and so do those that it imports."""
     monkeypatch.setattr("sys.path", [*sys.path])
     said = []
     for name in ("", "theirs", ""):
-        (here / name).mkdir(exist_ok=True)
-        (here / name / "same_name.py").write_text(f"def act():\n    return {name!r}\n")
+        (here / name / "parts").mkdir(parents=True, exist_ok=True)
+        (here / name / "same_name.py").write_text("from parts.helper import NAME\ndef act(): return NAME")
+        (here / name / "parts/helper.py").write_text(f"NAME = {name!r}")
         with trusting(beside=here / name):
             said.append(own_function("same_name:act", "agent")[0]())
     assert said == ["", "theirs", ""]
+
+
+@pytest.mark.parametrize("file", ["pilot.py", "helper.py"])
+def test_in_a_notebook_code_that_was_edited_flies_as_it_is_now(file: str, here: Path) -> None:
+    """Also in workers, which are not those of the run before."""
+    (here / "pilot.py").write_text("from helper import EAST\ndef act(seen): return EAST")
+    (here / "helper.py").write_text("EAST = 3")
+    known = set()
+    for heading in (3, 1):
+        keys = {"games": 1, "simulator": "kernels", "task": {"observation": "state", "t_move_s": 0.1, "history": 1}}
+        run = uavaccel.evaluate("pilot.py:act", trust=True, out=here / f"run{heading}", **keys)
+        assert set(run.rows()[0]["actions"]) == {heading}
+        known.add(imported_code())
+        (here / file).write_text((here / file).read_text().replace("= 3", "= 1 ").replace("return EAST", "return 1"))
+    assert len(known) == 2
 
 
 WRONG = """

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from uavaccel.config import Config, dotted_keys
 from uavaccel.errors import UserError, suggestion
-from uavaccel.own_code import check_not_importing, file_of
+from uavaccel.own_code import check_not_importing, file_of, forget_changed
 from uavaccel.records import RunDirectory
 from uavaccel.units import plain
 
@@ -130,6 +130,7 @@ def _flown(request: RunRequest) -> RunDirectory:
     from uavaccel.suites.session import planned, resumable
 
     check_not_importing()
+    forget_changed()
     with planned(request) as plan, resumable(plan):
         run = plan.begin(lambda line: None)
         plan.fly(run, lambda case, row: None)

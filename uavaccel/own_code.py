@@ -27,12 +27,16 @@ from typing import Any
 from uavaccel.errors import UserError, suggestion
 from uavaccel.files import read_bounded, replacing
 
+Stamp = tuple[int, int] | None
+"""Changes with a file: when it was written, and its size; None without a file."""
 _trusted: list[tuple[Path | None, frozenset[str] | None]] = []
 """What the user has said so far: the folder beside the working directory, and the modules that may run; None: all."""
 RELATIVE = re.compile(rb"^[ \t]*from[ \t]+\.", re.MULTILINE)
 """Begins an import from the package that a file is in."""
 OUTSIDE = ("/", "../")
 """Begin paths that lead out of the folders in which code is looked up."""
+NAMING = ("suite", "env_id", "agent")
+"""Keys of a run whose values may name code."""
 
 _here: dict[Path, str] = {}
 """What was remembered in this process, which may be unable to write it down."""
@@ -40,6 +44,8 @@ _noted: list[Path] = []
 """Folders that runs and policies name, in which only remembered code may run."""
 _imported: dict[str, Path] = {}
 """The files of the modules that were imported in this process."""
+_projects: dict[Path, dict[Path, Stamp]] = {}
+"""The folders from which they were imported, and the files that were read there, theirs too, with their stamps."""
 _importing: list[Path | str] = []
 """Those that are being imported."""
 
@@ -95,6 +101,29 @@ def look_also_in(folder: object) -> None:
     """
     if isinstance(folder, str):
         _noted[:] = dict.fromkeys((Path(folder), *_noted))
+
+
+def as_noted(mapping: Mapping[str, Any], folder: object) -> dict[str, Any]:
+    """Return the mapping of a run or a policy, in which names of code mean that of the folder that it has noted.
+
+    Where they would lead to another file here, of another project, they become paths, if that code is remembered.
+    """
+    made = dict(mapping)
+    if isinstance(folder, str):
+        noted = Path(os.path.abspath(folder))
+        made |= {key: _as_noted(made[key], noted) for key in NAMING if key in made}
+        if isinstance(part := made.get("training"), Mapping):  # of several seeds
+            made["training"] = {**part, **{key: _as_noted(part[key], noted) for key in NAMING if key in part}}
+    return made
+
+
+def _as_noted(name: object, noted: Path) -> object:
+    if not isinstance(name, str) or ":" not in name:
+        return name
+    here, there = _found_here(module_of(name)), _found_in(noted, module_of(name))
+    if not here or not there or here[1][-1] == (file := there[1][-1]) or _remembered(file) is None:
+        return name
+    return f"{file}:{name.partition(':')[2]}" if imported_from(file) == there[0] else name
 
 
 def own_class(place: str, where: str, *bases: type) -> type[Any]:
@@ -154,6 +183,7 @@ def own_module(name: str, where: str) -> ModuleType:
     sys.path[:] = [str(folder), *(place for place in sys.path if place != str(folder))]
     if name in _imported:  # from another project of this process
         sys.modules.pop(name, None)
+    _forget_namesakes(folder)
     try:
         with errors_named(file, where):
             module = import_alone(name, file)
@@ -162,7 +192,54 @@ def own_module(name: str, where: str) -> ModuleType:
     if Path(module.__file__ or "").resolve() != file:
         raise UserError(f"{where}: {file} has the name of another module, {module.__file__}; rename it")
     _imported[name] = file
+    _projects.setdefault(folder, {}).update((each, stamp(each)) for each in _modules_from(folder).values())
     return module
+
+
+def stamp(file: Path) -> Stamp:
+    """Return the stamp of a file."""
+    try:
+        found = file.stat()
+    except OSError:
+        return None
+    return found.st_mtime_ns, found.st_size
+
+
+def imported_code() -> tuple[tuple[str, Stamp], ...]:
+    """Return the files of own code that were imported in this process, as they were then."""
+    return tuple((str(file), then) for files in _projects.values() for file, then in files.items())
+
+
+def code_state() -> tuple[object, ...]:
+    """Return what decides which class a name means: where code is looked up, and what was imported."""
+    return (*_folders(), *imported_code())
+
+
+def forget_changed() -> None:
+    """Forget the own code of folders in which a file has changed since: in a notebook, code is edited between runs."""
+    for folder, files in _projects.items():
+        if any(stamp(file) != then for file, then in files.items()):
+            files.clear()
+            for name in _modules_from(folder):
+                del sys.modules[name]
+
+
+def _forget_namesakes(folder: Path) -> None:
+    """Forget modules from other folders of own code whose names mean what is in this one."""
+    for other in _projects.keys() - {folder}:
+        for name in _modules_from(other):
+            if any((folder / f"{name.partition('.')[0]}{suffix}").exists() for suffix in ("", ".py")):
+                del sys.modules[name]
+
+
+def _modules_from(folder: Path) -> dict[str, Path]:
+    """Return the modules that were imported from a folder, by name, with their files; none of this package."""
+    found = {}
+    for name, module in [*sys.modules.items()]:
+        place, file = f"{folder}/{name.replace('.', '/')}", getattr(module, "__file__", None)
+        if file in (f"{place}.py", f"{place}/__init__.py") and name.partition(".")[0] != __package__:
+            found[name] = Path(file)
+    return found
 
 
 def import_alone(name: str, file: Path | None = None) -> ModuleType:
@@ -247,9 +324,8 @@ def errors_named(files: Path | Sequence[Path] | None, where: str = "") -> Iterat
 
 def _found(name: str, where: str) -> tuple[Path, list[Path]]:
     """Return the folder in which a module is found, and the files that importing it runs, its own last."""
-    for folder in (folders := _folders()):
-        if found := _found_in(folder, name):
-            return found
+    if found := _found_here(name):
+        return found
     for noted in _noted:
         if (found := _found_in(noted.resolve(), name)) and _remembered(found[1][-1]):
             return found
@@ -260,7 +336,7 @@ def _found(name: str, where: str) -> tuple[Path, list[Path]]:
     if wrong := next((part for part in parts if part and not part.isidentifier()), None):
         better = re.sub(r"\W", "_", wrong)
         raise UserError(f"{where}: {wrong!r} is no name that Python can import: rename it, as to {better!r}")
-    places = " or ".join(map(str, folders))
+    places = " or ".join(map(str, _folders()))
     what = "file" if name.endswith(".py") else "module"
     raise UserError(
         f"{where}: no {what} {name!r} in {places}: own code is looked up in the working directory and beside the "
@@ -274,9 +350,15 @@ def _folders() -> list[Path]:
     return list(dict.fromkeys(folder.resolve() for folder in (*beside, Path.cwd())))
 
 
+def _found_here(name: str) -> tuple[Path, list[Path]] | None:
+    """Return what `_found` does of a module that is in one of these folders."""
+    return next(filter(None, (_found_in(folder, name) for folder in _folders())), None)
+
+
 def _found_in(folder: Path, name: str) -> tuple[Path, list[Path]] | None:
     """Return what `_found` does of a module that is looked up in this folder; None if it is not there."""
-    if name.startswith(OUTSIDE) and (file := folder.joinpath(name).resolve()).is_file():
+    if name.startswith(OUTSIDE) and os.path.isfile(folder / name):
+        file = folder.joinpath(name).resolve()
         folder = imported_from(file)
         name = module_of(str(file.relative_to(folder)))
     files = _files(folder, name)
@@ -304,7 +386,7 @@ def _files(folder: Path, name: str) -> list[Path]:
         return []
     above = [folder.joinpath(*parts[:count]) / "__init__.py" for count in range(1, len(parts))]
     place = folder.joinpath(*parts)
-    own = next((file for file in (place / "__init__.py", place.with_suffix(".py")) if file.is_file()), None)
+    own = next((file for file in (place / "__init__.py", place.with_suffix(".py")) if os.path.isfile(file)), None)
     return [] if own is None else [file.resolve() for file in (*above, own) if file.is_file()]
 
 

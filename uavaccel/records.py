@@ -37,6 +37,7 @@ from uavaccel.files import (
     write_arrays,
 )
 from uavaccel.forms import HostTimes, Manifest, RowForm, check, check_all
+from uavaccel.own_code import as_noted
 
 
 class RunDirectory:
@@ -231,8 +232,11 @@ class RunDirectory:
         return dict(self.read_json("summary.json"))
 
     def config(self) -> dict[str, Plain]:
-        """Return the mapping in config.yaml."""
-        return load_yaml(self.path / "config.yaml")
+        """Return the mapping in config.yaml; names of code mean that with which the run was started."""
+        mapping, folder = load_yaml(self.path / "config.yaml"), None
+        with suppress(UserError):  # whoever needs the manifest reads it
+            folder = self.manifest().get("own_code")
+        return as_noted(mapping, folder)
 
     def manifest(self) -> dict[str, Plain]:
         """Return the manifest with which the run was started; "resumed" lists those with which it was continued.
@@ -282,7 +286,7 @@ def _write_config(path: Path, config: Config) -> None:
 
 def refuse_other_config(path: Path, config: Config, may_grow: Mapping[str, str]) -> list[str]:
     """Return the keys that have grown. Raises UserError for other differences."""
-    mapping = load_yaml(path / "config.yaml")
+    mapping = RunDirectory(path).config()
     with suppress(UserError):  # one that is no longer valid is compared as it is, others with later keys' defaults
         mapping = validate(type(config), mapping, "config.yaml").model_dump(mode="json")
     there, here = (

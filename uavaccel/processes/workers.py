@@ -6,10 +6,12 @@ import os
 import sys
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from pathlib import Path
 from typing import Any
 
 from uavaccel.errors import UsageError, UserError
 from uavaccel.machine import usable_cores
+from uavaccel.own_code import imported_code
 from uavaccel.processes.lifetime import interrupts_kept_from_children, work_for_parent
 from uavaccel.units import whole
 
@@ -34,8 +36,8 @@ def on_this_machine(jobs: int, batch: int, calls: Iterable[Delayed]) -> Iterator
     from joblib import Parallel, parallel_config
     from joblib.externals.loky.process_executor import TerminatedWorkerError
 
-    # workers of an earlier call serve again, unless code is looked up in another folder since
-    bound = {"initializer": begin_worker, "initargs": (os.getpid(), tuple(sys.path))}
+    # workers of an earlier call serve again, unless code is another, or looked up in another folder, since
+    bound = {"initializer": begin_worker, "initargs": (os.getpid(), Path.cwd(), tuple(sys.path), imported_code())}
     with parallel_config(backend=LOKY, inner_max_num_threads=1, **bound):
         ahead = f"{batch}*n_jobs"  # a longer queue would delay an interruption
         results: Any = None
@@ -55,7 +57,8 @@ def on_this_machine(jobs: int, batch: int, calls: Iterable[Delayed]) -> Iterator
                     results.close()
 
 
-def begin_worker(parent: int, path: Sequence[str]) -> None:
-    """End with the parent from the start, before imports that take seconds, and find the modules that it finds."""
+def begin_worker(parent: int, folder: Path, path: Sequence[str], code: object) -> None:
+    """End with the parent from the start, before imports that take seconds, and find the files that it finds."""
     work_for_parent(parent)
+    os.chdir(folder)
     sys.path[:] = path

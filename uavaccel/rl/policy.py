@@ -23,7 +23,7 @@ from uavaccel.envs.values import Observation
 from uavaccel.errors import UserError
 from uavaccel.files import ARRAYS_BYTES, Plain, file_sha256, open_bounded, parse_json, read_bounded, replacing, to_json
 from uavaccel.forms import check
-from uavaccel.own_code import folder_of, look_also_in
+from uavaccel.own_code import as_noted, code_state, folder_of, look_also_in, stamp
 from uavaccel.resources import require
 from uavaccel.rl.config import DOUBLE_DQN, PPO, LearnerConfig, check_options
 
@@ -169,20 +169,16 @@ def trained_with(folder: Path) -> Mapping[str, Plain]:
 
 
 def _by_stamps(read: Callable[[Path], R]) -> Callable[[Path], R]:
-    """Let a function of a policy's folder read it again only where a file has changed: a sweep asks in each case."""
+    """Let a function of a policy's folder read it again only where a file has changed, or its task's code.
+
+    A sweep asks in each case.
+    """
 
     @lru_cache(maxsize=4)
-    def cached(path: Path, *stamps: tuple[int, int] | None) -> R:
+    def cached(path: Path, *state: object) -> R:
         return read(path)
 
-    def stamp(file: Path) -> tuple[int, int] | None:
-        try:
-            found = file.stat()
-        except OSError:
-            return None
-        return found.st_mtime_ns, found.st_size
-
-    return wraps(read)(lambda path: cached(path, stamp(path / MANIFEST), stamp(path / WEIGHTS)))
+    return wraps(read)(lambda path: cached(path, stamp(path / MANIFEST), stamp(path / WEIGHTS), code_state()))
 
 
 def read_manifest(path: Path) -> tuple[Mapping[str, Plain], LearnerConfig]:
@@ -204,7 +200,8 @@ def _read_manifest(path: Path) -> tuple[Mapping[str, Plain], LearnerConfig]:
             f"{path / WEIGHTS}: is not the file that {MANIFEST} describes: another hash; train or copy both files anew"
         )
     look_also_in(manifest.get("own_code"))
-    described = {key: value for key, value in manifest["config"].items() if key in LearnerConfig.model_fields}
+    trained = as_noted(manifest["config"], manifest.get("own_code"))
+    described = {key: value for key, value in trained.items() if key in LearnerConfig.model_fields}
     config = validate(LearnerConfig, described, str(path / MANIFEST))
     try:
         check_options(config)
@@ -238,6 +235,8 @@ def _parsed_manifest(path: Path) -> Mapping[str, Plain]:
     try:
         manifest = parse_json(read_bounded(path / MANIFEST).decode("utf-8"))
     except FileNotFoundError:
+        if (path / "parts").is_dir():
+            raise UserError(f"{path}: holds no policy itself: name a training in {path / 'parts'}") from None
         why = f"no {MANIFEST} in it" if path.is_dir() else "no such folder"
         raise UserError(f"{path}: holds no policy: {why}; name the folder of a training that ended") from None
     except OSError as error:

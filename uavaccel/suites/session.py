@@ -13,7 +13,7 @@ from typing import Any, get_origin
 
 from uavaccel.calibration.doctor import check_machine
 from uavaccel.clock import calendar_time
-from uavaccel.config import load_yaml, parse_override, schema
+from uavaccel.config import parse_override, schema
 from uavaccel.errors import Interrupted, UsageError, UserError, mistake_of
 from uavaccel.files import Plain, check_new_folder
 from uavaccel.machine import describe_run
@@ -142,7 +142,7 @@ def _of_the_run(request: RunRequest) -> tuple[dict[str, Plain], str]:
         raise UsageError("name an experiment, as in `uavaccel run dp1`, or a run's folder: --out FOLDER --resume")
     if not (out / "config.yaml").is_file():
         raise UserError(f"--out {out}: no run to go on with: no config.yaml in it; name an experiment to begin one")
-    return load_yaml(out / "config.yaml"), str(out)
+    return RunDirectory(out).config(), str(out)
 
 
 def _option(name: str) -> str:
