@@ -108,6 +108,7 @@ def film(source: str | Path | RunDirectory, case: str | None = None, out: str | 
     """
     from uavaccel.suites.flight import film_game
 
+    forget_changed()
     return film_game(_folder(source), case, movie=_path(out))[0]
 
 

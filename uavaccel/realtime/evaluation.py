@@ -38,7 +38,7 @@ from uavaccel.files import (
     write_json,
 )
 from uavaccel.metrics.intervals import Proportion, bootstrap_interval
-from uavaccel.own_code import errors_named, file_of
+from uavaccel.own_code import errors_named, file_of, forget_changed
 from uavaccel.processes.workers import check_count, on_this_machine
 from uavaccel.realtime.measuring import MakesEnv, environment_identity, made, plain_or_text, versions_with
 from uavaccel.realtime.plant import counted
@@ -298,6 +298,7 @@ def certify(
     a process is lost.
     """
     check_count(jobs)
+    forget_changed()
     if jobs > 1 and isinstance(policy, str) and policy.startswith(f"{TCP}:"):
         raise UsageError(f"--jobs must be 1 with {policy}: a server answers one client after the other")
     sweep, folder = Sweep(latencies, calibration, delay_steps, episodes, seed, success), _Folder(out, resume)

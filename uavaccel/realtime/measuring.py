@@ -15,6 +15,7 @@ from uavaccel.clock import calendar_time
 from uavaccel.errors import UserError
 from uavaccel.files import Plain, file_sha256
 from uavaccel.machine import host, version_of, versions
+from uavaccel.own_code import forget_changed
 from uavaccel.realtime.plant import counted
 from uavaccel.realtime.policies import ANSWER_S, load_policy
 from uavaccel.realtime.server import one_line
@@ -88,6 +89,7 @@ def measure(
     """
     steps = counted("steps", steps, 1, MOST_STEPS, " calls")
     warm_up = counted("warm_up", warm_up, 0, MOST_STEPS, " calls")
+    forget_changed()
     inside = made(env)
     flown = RealTime(inside, latency_s=MEASURED, **real_time)
     loaded = load_policy(policy, flown, trust, answer_s)
