@@ -506,12 +506,13 @@ def test_a_worker_runs_what_was_trusted_though_it_was_written_nowhere(monkeypatc
 
 def test_a_file_that_was_edited_flies_as_it_is_now() -> None:
     """Its hash is in certificate and measurement."""
+    pilot = Path("pilot.py")
     for action, mean in (("seen", 1.0), ("seen - 9", 0.0)):
-        Path("pilot.py").write_text(f"def act(seen):\n    return {action}\n")
+        pilot.write_text(f"def act(seen):\n    return {action}\n")
         document = certify(Count, "pilot.py:act", [0], episodes=1, trust=True).document
         assert document["cells"][0]["mean"] == mean
         about = measure(Count, "pilot.py:act", steps=2, warm_up=0, trust=True).about
-        assert about["policy"] == document["policy"] == {"name": "pilot.py:act", "sha256": file_sha256("pilot.py")}
+        assert about["policy"] == document["policy"] == {"name": "pilot.py:act", "sha256": file_sha256(pilot)}
 
 
 def test_a_wrong_key_of_the_environment_is_one_line() -> None:
