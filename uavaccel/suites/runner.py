@@ -197,8 +197,8 @@ def _opened(suite: AnySuite, config: Experiment, timing: str, run: RunDirectory)
 
 
 @contextmanager
-def _own_errors(suite: AnySuite, config: Experiment) -> Iterator[None]:
-    """Name what goes wrong in a suite or an environment of one's own by its file, line and function."""
+def _own_errors(suite: AnySuite, config: Experiment, where: str = "") -> Iterator[None]:
+    """Name what goes wrong in a suite or an environment of one's own by `where`, its file, line and function."""
     try:
         yield
     except (Exception, SystemExit) as error:
@@ -206,7 +206,7 @@ def _own_errors(suite: AnySuite, config: Experiment) -> Iterator[None]:
 
         if isinstance(error, BatchError | ServerGoneError):
             raise
-        with errors_named(_own_files(suite, config)):
+        with errors_named(_own_files(suite, config), where):
             raise
 
 
@@ -256,8 +256,8 @@ def _leave_in_worker(flown: Flown) -> None:
 
 def fly_case(suite: AnySuite, config: Experiment, case: Case, opened: Opened) -> GameResult:
     """Fly a case, and add the host's time and load. Raises UserError where a custom suite's result is none."""
-    where, own = f"{suite.name}: fly of {case.id}", files_of(type(suite))
-    with errors_named(own, where):
+    where = f"{suite.name}: fly of {case.id}"
+    with _own_errors(suite, config, where if folder_of(type(suite)) else ""):
         game, host = timed(lambda: suite.fly(config, case, opened))
     if own_folder(suite, config) is not None:
         if not isinstance(game, GameResult):
