@@ -269,10 +269,11 @@ def test_games_over_arrays_ask_the_autopilot_for_what_the_server_does() -> None:
     with VirtualSession("blocks", "native") as session:
         client = session.start_game(1.0)
         for _ in range(9):
-            velocity, (share, *angles) = tuple(rng.uniform(-2, 2, 3).tolist()), rng.uniform(0, 1, 4).tolist()
-            held = VelocityGoal(velocity, *rng.uniform(-9, 3, 2).tolist(), False)
-            others = AttitudeGoal(*angles, share), BodyRatesGoal(*angles, share), MotorsGoal(*angles, share)
-            for goal in (VelocityGoal(velocity, None, share), held, *others):
+            velocity, (height_m, turn) = tuple(rng.uniform(-2, 2, 3).tolist()), rng.uniform(-9, 3, 2).tolist()
+            one, two, three, share = rng.uniform(0, 1, 4).tolist()
+            held, attitude = VelocityGoal(velocity, height_m, turn, False), AttitudeGoal(one, two, three, share)
+            others = BodyRatesGoal(one, two, three, share), MotorsGoal(one, two, three, share)
+            for goal in (VelocityGoal(velocity, None, turn), held, attitude, *others):
                 client.move_async(goal, 0.5)
                 client.continue_for(20_000_000)
                 flown = {name: rows[0] for name, rows in session._present().world.lead.field.items()}
