@@ -18,6 +18,7 @@ from hypothesis import strategies as st
 from tests.serving import running_server
 from uavaccel import airsim
 from uavaccel.airsim.connection import as_received, as_sent, plain
+from uavaccel.units import NS_PER_S
 from uavaccel.wire.rpc import RpcError
 
 pytestmark = pytest.mark.wall_clock
@@ -118,18 +119,29 @@ def test_nobody_listens() -> None:
         airsim.MultirotorClient(port=port)
 
 
-def test_an_answer_that_does_not_come() -> None:
+def test_an_answer_that_does_not_come_in_time_does_not_count(capsys: pytest.CaptureFixture[str]) -> None:
     with socket.create_server(("127.0.0.1", 0)) as silent:
         client = airsim.VehicleClient(port=silent.getsockname()[1], timeout_value=0.05)
         patience = threading.Timer(10.0, silent.shutdown, [socket.SHUT_RDWR])  # whoever waits on is hung up on
         patience.start()
         with pytest.raises(TimeoutError, match=r"^ping: no answer within 0\.05 s$"):
             client.ping()
+        assert capsys.readouterr().err == ""
         told: list[Any] = []
         future = client.client.call_async("ping")
         future.attach_callback(told.append)
         future.join()  # as AirSim's, it raises nothing
-        assert (told, future.error) == ([future], "no answer within 0.05 s")
+        assert capsys.readouterr().err == "airsim: ping failed: no answer within 0.05 s\n"
+        vars(client.client)["_timeout_ns"] = 10 * NS_PER_S
+        in_time, (server, _) = client.client.call_async("ping"), silent.accept()
+        unpacker, asked = msgpack.Unpacker(), list[Any]()
+        with server:
+            while len(asked) < 3:
+                unpacker.feed(server.recv(4096))
+                asked += unpacker
+            server.sendall(b"".join(msgpack.packb([1, number, None, True]) for _, number, *_ in asked))
+            assert in_time.get() is True
+        assert (told, future.error, future.result) == ([future], "no answer within 0.05 s", None)
         patience.cancel()
 
 

@@ -6,6 +6,7 @@ import itertools
 import re
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import mujoco
@@ -20,6 +21,7 @@ from tests.clutter import clutter
 from tests.flying import point, pose
 from tests.scenes import Pose
 from uavaccel.resources import asset
+from uavaccel.sim import objects as sim_objects
 from uavaccel.sim import scene
 from uavaccel.sim.objects import SceneObjects, cast, matching
 from uavaccel.sim.poses import Pose as ScenePose
@@ -279,6 +281,13 @@ def test_the_end_is_not_before_a_last_line_break_nor_a_dot_one() -> None:
 @pytest.mark.parametrize("expression", ["(a+)+$", "(a|a)*b", "((a*)*)*b", "(x+x+)+y", "(.*.*.*)*!", "(?:(?:a+)+)+!"])
 def test_what_naive_backtracking_never_ends_is_answered(expression: str) -> None:
     assert matching(expression, ["a" * 200, "x" * 200]) == ["a" * 200] * (expression == "(a+)+$")
+
+
+def test_the_time_is_that_of_all_names(monkeypatch: pytest.MonkeyPatch) -> None:
+    times_ns = iter((0, 0, sim_objects.LONGEST_NS, sim_objects.LONGEST_NS))
+    monkeypatch.setattr(sim_objects, "MonotonicClock", lambda: SimpleNamespace(now_ns=lambda: next(times_ns)))
+    with pytest.raises(ValueError, match="takes too long to match"):
+        matching("a+", ["b", "a", "c"])
 
 
 def test_both_calls_match_in_bounded_time(wire: AirSimWire) -> None:

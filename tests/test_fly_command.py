@@ -84,6 +84,10 @@ RUNS: dict[str, tuple[dict[str, Any], list[FlightResult]]] = {  # what is asked 
     "equal flights": (CHECK, [FlightResult(0, FLOWN)] * 2),
     "equal flights that end with a status": (CHECK, [FlightResult(3, FLOWN)] * 2),
     "equal flights that crash": (CHECK, [FlightResult(1, CRASHED)] * 2),
+    "equal flights whose errors name an address": (
+        CHECK,
+        [FlightResult(1, {**FLOWN, "error": f"TypeError: <object at {place}>"}) for place in ("0x1f", "0x2e")],
+    ),
     "flights that end differently": (CHECK, [FlightResult(1, CRASHED), FlightResult(0, FLOWN)]),
     "flights that crash differently": (
         CHECK,

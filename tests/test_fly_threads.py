@@ -415,8 +415,9 @@ def selects(s: Script) -> None:
         selector.register(receiver, selectors.EVENT_READ)
         within = partial(s.select.select, [receiver], [], [])
         for wait in (within, poll.poll, selector.select):
-            for timeout in (0, 0.01, LATER_S, None):
-                [thread] = s.start(lambda: (s.units(1), sender.send(b"ping"))) if timeout in (None, LATER_S) else [None]
+            for timeout in (0, 0.01, LATER_S, None, *([-1] if wait == poll.poll else [])):
+                later = timeout in (None, LATER_S, -1)
+                [thread] = s.start(lambda: (s.units(1), sender.send(b"ping"))) if later else [None]
                 s.say(any(wait(*() if timeout is None else (timeout,))))
                 if thread is not None:
                     s.say(receiver.recv(9))

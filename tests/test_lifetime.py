@@ -37,16 +37,28 @@ signal.pause()
 """
 
 
-def test_an_interrupt_that_a_destructor_loses_comes_again() -> None:
-    class Ends:
-        def __del__(self) -> None:
-            signal.raise_signal(signal.SIGTERM)
+def test_an_interrupt_that_a_destructor_loses_comes_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What else is lost is the hook's that was there, and is afterwards."""
 
+    class Ends:
+        def __init__(self, end: Callable[[], object]) -> None:
+            self.end = end
+
+        def __del__(self) -> None:
+            self.end()
+
+    def lost(what: Any) -> None:
+        told.append(what.exc_type)
+
+    told = list[type]()
+    monkeypatch.setattr(sys, "unraisablehook", lost)
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     with lifetime.lost_interrupts_repeated():
-        Ends()
+        Ends(lambda: 1 // 0)
+        Ends(lambda: signal.raise_signal(signal.SIGTERM))
         with pytest.raises(KeyboardInterrupt):
             threading.Event().wait(60.0)
+    assert (told, sys.unraisablehook) == ([ZeroDivisionError], lost)
 
 
 def test_a_process_whose_parent_is_killed_ends() -> None:

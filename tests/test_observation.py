@@ -23,6 +23,7 @@ from tests.opengl import needs_opengl
 from tests.running import configured, fly_into
 from uavaccel.config import validate
 from uavaccel.envs.hover import HoverTask
+from uavaccel.envs.judging import autopilot_goal
 from uavaccel.envs.navigate import Navigate
 from uavaccel.envs.obstacle_lane import LaneTask, ObstacleLane
 from uavaccel.envs.sensors import ContextPlanes
@@ -30,15 +31,17 @@ from uavaccel.envs.task import HOVER_THROTTLE
 from uavaccel.errors import UserError
 from uavaccel.export import write_minari
 from uavaccel.kernels.events import level_of
-from uavaccel.kinematics import AttitudeGoal, BodyRatesGoal, MotorsGoal
+from uavaccel.kinematics import AttitudeGoal, BodyRatesGoal, MotorsGoal, VelocityGoal
 from uavaccel.rl.agents import make_agent, origin_of
 from uavaccel.rl.double_dqn import HostDQN
 from uavaccel.rl.network import Levels, Windows, contrast, turned_actions
 from uavaccel.rl.policy import load_policy
+from uavaccel.sim.vehicle.autopilot import Goal
 from uavaccel.suites.evaluate import Evaluation
 from uavaccel.suites.evaluate_again import environment_of, fly_again
 from uavaccel.suites.train import TrainConfig
 from uavaccel.vision.dvs_sensor import dvs_observation
+from uavaccel.wire.session import VirtualSession
 
 # --- planes, ages and pictures ----------------------------------------------------------------------------------------
 
@@ -259,6 +262,23 @@ def test_shares_become_goals() -> None:
     assert rates.throttle == 1.0
     motors = HoverTask(action="motors").goal([-1.0, 0.0, 1.0, -0.5])
     assert motors == MotorsGoal(0.0, HOVER_THROTTLE, 1.0, HOVER_THROTTLE / 2)
+
+
+def test_games_over_arrays_ask_the_autopilot_for_what_the_server_does() -> None:
+    rng = np.random.default_rng(0)
+    with VirtualSession("blocks", "native") as session:
+        client = session.start_game(1.0)
+        for _ in range(9):
+            velocity, (height_m, turn) = tuple(rng.uniform(-2, 2, 3).tolist()), rng.uniform(-9, 3, 2).tolist()
+            one, two, three, share = rng.uniform(0, 1, 4).tolist()
+            held, attitude = VelocityGoal(velocity, height_m, turn, False), AttitudeGoal(one, two, three, share)
+            others = BodyRatesGoal(one, two, three, share), MotorsGoal(one, two, three, share)
+            for goal in (VelocityGoal(velocity, None, turn), held, attitude, *others):
+                client.move_async(goal, 0.5)
+                client.continue_for(20_000_000)
+                flown = {name: rows[0] for name, rows in session._present().world.lead.field.items()}
+                modes = (int(flown[name]) for name in ("xy_mode", "z_mode", "yaw_mode"))
+                assert Goal(tuple(flown["goal"].tolist()), *modes) == autopilot_goal(goal), goal
 
 
 @pytest.mark.parametrize("kind", KINDS)
