@@ -481,7 +481,7 @@ STANDS_IN_THE_GAP: Keys = {
 MANY_GAMES: Keys = {
     "observation": "state",
     "max_commands": 1,
-    "randomise": {"wind_m_s": [2, 6], "speed_m_s": [0.5, 4.0], "altitude_m": [1, 4], "share": 0.4, "widen_over_games": 9},
+    "randomise": {"wind_m_s": [2, 6], "speed_m_s": [1, 4], "altitude_m": [1, 4], "share": 0.4, "widen_over_games": 9},
 }
 """What was sampled for games that a GPU has forgotten is not said of those in their places."""
 
