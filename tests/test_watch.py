@@ -212,7 +212,9 @@ def pause_and_step(page: Any, note: str = "") -> tuple[str, str]:
     page.get_by_role("button", name="Pause").click()
     page.get_by_role("button", name="Play", exact=True).wait_for()
     clocks.get_by_text(note).first.wait_for()
-    before = clocks.inner_text()
+    before = ""
+    while before != (before := clocks.inner_text()):  # what was clicked before may still be under way
+        page.wait_for_timeout(300)
     page.get_by_role("button", name="Step", exact=True).click()
     page.wait_for_function("before => document.querySelector('.clocks').innerText != before", arg=before)
     clocks.get_by_text(note).first.wait_for()
