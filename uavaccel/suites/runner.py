@@ -18,6 +18,7 @@ from dataclasses import replace
 from functools import partial
 from itertools import count, groupby, islice
 from pathlib import Path
+from platform import node
 from typing import Any, get_args
 
 import numpy as np
@@ -122,7 +123,8 @@ def run_suite(
     """
     check_jobs(suite, config, jobs, engine)
     remove_orphaned_files()
-    restarts, own, flown = Counter[str](), folder_of(type(suite)) is not None, (os.getpid(), next(_RUNS))
+    restarts, own = Counter[str](), folder_of(type(suite)) is not None
+    flown = f"{node()}-{os.getpid()}", next(_RUNS)
     while True:
         try:
             for case, game in _games(suite, config, run, jobs, engine, flown):
@@ -216,7 +218,7 @@ def _own_files(suite: AnySuite, config: Experiment) -> list[Path]:
     return files_of(type(suite), *((environment, environment.task_class) if environment else ()))
 
 
-Flown = tuple[int, int]
+Flown = tuple[str, int]
 """A run that is flown: the process that flies it, and which of that process's runs it is. Folders are used again."""
 _RUNS = count()
 _OPENED: dict[tuple[Flown, str], tuple[AnySuite, Opened, ExitStack]] = {}  # by timing, too
