@@ -833,8 +833,8 @@ def law_of_gaps() -> Text:
     yield f"{chosen} of all {len(every)} halves choose it, with a median error of {error:.1f},"
     yield f"and 95 % between {low:.1f} and {high:.1f}"
     plain, long, fast, small = (gap(of.loc[name]) for name in ("hover", "hover_long", "hover_fast", "hover_small"))
-    yield f"commands of .2 and .5 s bear {plain} and {long} s; half of the room, by speed or radius, {fast} and {small};"
-    yield f"Navigate at half its speed {gap(of.loc['navigate_slow'])}."
+    yield f"commands of .2 and .5 s bear {plain} and {long} s; half of the room, by speed or radius, {fast} and {small}"
+    yield f"; Navigate at half its speed {gap(of.loc['navigate_slow'])}."
     yield f"two trainings by motors differ by a factor of {of.at_least_s.motors / of.at_least_s.motors_near:.1f}"
     yield f"about {seconds(fit_gap_law.fit(table, ()).factor)} T_move"
 
