@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import json
 import re
+import shutil
 from dataclasses import astuple
 from pathlib import Path
 from types import SimpleNamespace
@@ -316,6 +317,12 @@ def test_an_agent_flies_with_what_it_was_trained_with(tmp_path: Path) -> None:
     for more, timing in (("", "virtual"), ("task: {timing: lockstep}", "lockstep")):  # whatever it was trained under
         (tmp_path / "own.yaml").write_text(f"suite: evaluate\n{more}\n")
         assert configured(str(tmp_path / "own.yaml")).task.timing == timing
+    shutil.copytree(asset("policies/default"), tmp_path / "mine")
+    (tmp_path / "own.yaml").write_text("suite: evaluate\nagent: mine\n")
+    (tmp_path / "more.yaml").write_text("suite: train\nstart_from: mine\nhidden: [8]\n")
+    assert configured(str(tmp_path / "own.yaml")).agent == str(tmp_path / "mine"), "a path is one beside the file, too"
+    with pytest.raises(UserError, match=f"start_from = '{re.escape(str(tmp_path))}/mine': another network"):
+        configured(str(tmp_path / "more.yaml"))
 
 
 def test_senses_and_flight_alone_are_those_of_the_training(monkeypatch: pytest.MonkeyPatch) -> None:

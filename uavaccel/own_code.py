@@ -94,6 +94,11 @@ def file_beside(name: str | Path) -> Path:
     return path if folder is None or path.exists() or not (folder / path).exists() else folder / path
 
 
+def name_beside(name: str) -> str:
+    """Return a name, or the path beside a YAML file that it is, if it is none from the working directory."""
+    return name if (found := file_beside(name)) == Path(name) else str(found)
+
+
 def look_also_in(folder: object) -> None:
     """Look code up in a folder that a run or a policy has noted, too; there only what was trusted before may run.
 

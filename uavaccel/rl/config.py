@@ -28,7 +28,7 @@ from uavaccel.envs.task import Positive, Task
 from uavaccel.errors import UserError, suggestion
 from uavaccel.files import Plain
 from uavaccel.machine import memory_bytes
-from uavaccel.own_code import module_of, own_class, own_module
+from uavaccel.own_code import module_of, name_beside, own_class, own_module
 from uavaccel.resources import require
 
 if TYPE_CHECKING:
@@ -196,7 +196,7 @@ class LearnerConfig(Config):
     mirrored_decisions: bool = False
     """Whether the trained double_dqn policy averages its action values over the observation and its mirror image;
     otherwise it uses those of the observation alone."""
-    start_from: str | None = None
+    start_from: Annotated[str, AfterValidator(name_beside)] | None = None
     """Policy whose weights double_dqn starts from: its folder, or default for the one that ships; None: random."""
     channels: Annotated[tuple[Channels, ...], Field(min_length=1, max_length=4)] = (16, 32)
     """Channels of each convolutional layer."""

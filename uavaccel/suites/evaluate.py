@@ -37,6 +37,7 @@ from uavaccel.files import Plain
 from uavaccel.forms import Count, NotNegative, Number
 from uavaccel.metrics.estimates import Success
 from uavaccel.metrics.intervals import Proportion, mcnemar_exact
+from uavaccel.own_code import name_beside
 from uavaccel.realtime.server import begin
 from uavaccel.records import RunDirectory, timing_provenance
 from uavaccel.resources import require
@@ -123,6 +124,7 @@ def completed(mapping: Mapping[str, Plain]) -> dict[str, Plain]:
     agent, given = mapping.get("agent", DEFAULT), mapping.get("task") or {}
     if not isinstance(agent, str) or not isinstance(given, Mapping):
         return dict(mapping)  # which validation refuses
+    agent = name_beside(agent)
     origin = origin_of(agent)
     env_id = mapping.get("env_id", origin.env_id or LANE)
     if origin.env_id not in (None, env_id):
