@@ -141,7 +141,7 @@ def test_trainings_and_evaluations_are_flown_from_python(tmp_path: Path) -> None
         uavaccel.train("train_kernels", out=run.path, resume=True, games=3)
     evaluated = uavaccel.evaluate(run, games=2, out=str(tmp_path / "evaluated"))
     assert (evaluated.summary["games"], len(evaluated.rows())) == (2, 2)
-    with pytest.raises(UserError, match=r"exists; take another --out, or --resume"):
+    with pytest.raises(UserError, match=r"exists; take another out, or resume"):
         uavaccel.evaluate(run, games=2, out=evaluated.path)
     mistaken: dict[str, Any] = {"gamess": 3}
     with pytest.raises(UserError, match="unknown key 'gamess'; did you mean 'games'"):

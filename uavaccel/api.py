@@ -6,8 +6,10 @@ Type checkers read `keywords.pyi` beside this, which names every key.
 from __future__ import annotations
 
 import json
+import re
 import reprlib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -132,11 +134,22 @@ def _flown(request: RunRequest) -> RunDirectory:
 
     check_not_importing()
     forget_changed()
-    with planned(request) as plan, resumable(plan):
+    with _keywords_named(), planned(request) as plan, resumable(plan):
         run = plan.begin(lambda line: None)
         plan.fly(run, lambda case, row: None)
         plan.suite.report(run).write()
     return run
+
+
+@contextmanager
+def _keywords_named() -> Iterator[None]:
+    """Name keywords in what is told of mistakes, where the command line has options."""
+    try:
+        yield
+    except UserError as error:
+        said = re.sub(r"^--set:? |^--[a-z]+: (?=\w+ = )", "", str(error))
+        error.args = (re.sub(r"--(?=[a-z])", "", said), *error.args[1:])
+        raise
 
 
 def _plain(keys: Mapping[str, Any]) -> dict[str, Any]:
