@@ -522,7 +522,9 @@ OTHER_LIGHT: Keys = {
     "t_sample_s": 0.3,
     "max_commands": 1,
 }
-"""A game's first image is not requested again because the last game's was darker; ADSC lets each become older."""
+"""A game's first image is not requested again because the last game's was darker; ADSC lets each become older.
+
+In lockstep, where processing takes no time, it does not."""
 COMES_NEAR: Keys = {
     "timing": "virtual",
     "latency": QUICK | {"request_us": {"call": [40.0, 40.0], "image": [9000.0, 9000.0]}},
@@ -594,6 +596,7 @@ STALE_FOR_THE_GUARD: Keys = {
 @example(Case(ObstacleLane, TWO_SAMPLES_OF_ONE_TICK, seed=0, commands=5, noise=0.5, work_s=0.0))
 @example(Case(ObstacleLane, HIT_BETWEEN_FRAMES, seed=0, commands=5, noise=0.0, work_s=0.0))
 @example(Case(ObstacleLane, OTHER_LIGHT, seed=0, commands=5, noise=0.5, work_s=0.0))
+@example(Case(ObstacleLane, {**OTHER_LIGHT, "timing": "lockstep"}, seed=0, commands=2, noise=0.5, work_s=0.0))
 @example(Case(ObstacleLane, STANDS_BETWEEN_FRAMES, seed=0, commands=3, noise=0.0, work_s=0.0))
 @example(Case(ObstacleLane, OTHER_NOISE, seed=0, commands=5, noise=0.5, work_s=0.0))
 @example(Case(ObstacleLane, COMES_NEAR, seed=0, commands=4, noise=0.0, work_s=0.0))
