@@ -228,7 +228,7 @@ class Twice:
         "find": (4, 1), "draw_gray": (36, 17), "see": (36, 17), "show": (18, 8),
         "start_events": (288, 133), "cast_depth": (288, 133),
     }  # fmt: skip
-    SMALL: ClassVar = dict.fromkeys(("cast_colour", "cast_gray", "start_events"), (3, 1))
+    SMALL: ClassVar = dict.fromkeys(("cast_colour", "cast_gray"), (3, 1))
     LOOKING = ("cast_colour", "cast_depth", "see_gray", "take_frames", "see", "show")
     compared: Counter[str]
 
@@ -266,6 +266,9 @@ class Twice:
                 getattr(part, "gathered", np.zeros(0))[...] += 3
                 getattr(part, "state", {})["collision_tick"] = 0
             self._compare(name, on_host, grid, others)
+        if name == "start_events":
+            for left in arguments[-1]:  # by a game before
+                left[arguments[0] > 0, ...] += 3
         self._compare(name, on_host, grid, arguments)
 
     def _compare(self, name: str, on_host: Any, grid: Any, arguments: Any) -> None:
@@ -277,7 +280,8 @@ class Twice:
         self.gpu.launch(self._kernels[name], range(part, grid[0], every), grid[1], some, mine)
         on_host(*arguments)
         for was, ours, theirs in zip(*map(leaves, (before, mine, arguments)), strict=True):
-            seen = name in ("see", "see_gray", "start_events", "finish") and (ours.ndim == 1 or ours.dtype == np.uint8)
+            seen = name in ("see", "see_gray", "finish") and ours.ndim == 1
+            seen |= name in ("see", "see_gray", "start_events") and ours.dtype == np.uint8
             if alone or seen or ours.dtype == np.uint64:  # a stream, of which each thread has its own
                 continue
             kept = np.index_exp[:, :13] if name == "fly" and ours.shape[1:] == (25,) else ()  # no force, acceleration

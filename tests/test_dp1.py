@@ -16,7 +16,6 @@ from tests.made_runs import line_row
 from tests.test_reports import ALIKE, accelerated_rows
 from uavaccel.commands import COMMANDS, SynchronousCommand
 from uavaccel.config import validate
-from uavaccel.envs.flight_env import FlightEnv
 from uavaccel.errors import UserError
 from uavaccel.records import RunDirectory
 from uavaccel.suites import dp1
@@ -285,10 +284,6 @@ def test_a_row_tells_what_was_lost_and_stalled_in_seconds(stalled_ns: int, told:
     times = {"wall_s": 0.5, "sim_time_s": 2.0, "duration_s": 1.4, "lost_wall_s": 0.25}
     assert {name: value for name, value in row.items() if name.endswith("_s")} == times | told
     assert (row["error"], row["real_time_factor"]) == ("it fell", 4.0)
-    environment: Any = SimpleNamespace(task=SimpleNamespace(timing="wall"), _client=SimpleNamespace(client=client))
-    assert FlightEnv._host_disturbances(environment) == {"lost_wall_s": 0.25, **told}
-    environment.task.timing = "virtual"
-    assert FlightEnv._host_disturbances(environment) == {}
 
 
 @pytest.mark.parametrize(

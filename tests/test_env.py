@@ -25,6 +25,8 @@ from uavaccel.envs.hover import Hover
 from uavaccel.envs.obstacle_lane import ObstacleLane
 from uavaccel.sim.lane import lane_seed, sample_layout
 from uavaccel.vision.dvs_sensor import NEUTRAL_LEVEL
+from uavaccel.wire.session import Client
+from uavaccel.wire.transport import Transport
 
 NAME = "uavaccel/ObstacleLane-v0"
 IMAGE = (3, 36, 64)
@@ -244,3 +246,19 @@ def test_tcsc_sees_the_same_at_any_clock_speed() -> None:
             seen = fly(environment, [2, 3, 1, 4, 2, 2])
         flights.append([observation.tobytes() for observation in seen])
     assert flights[0] == flights[1] == flights[2]
+
+
+@pytest.mark.parametrize("ends", [{"max_commands": 2}, {"hold_s": 0.4, "radius_m": 9.0, "t_move_s": 0.2}])
+@pytest.mark.parametrize("timing", ["lockstep", "wall"])
+def test_a_game_tells_at_its_end_what_held_up_its_wall_clock(
+    timing: str, ends: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """However it ends; the clock is a simulated one in truth."""
+    monkeypatch.setattr(Client, "speed", lambda self: {"lost_wall_ns": 250_000_000})
+    monkeypatch.setattr(Transport, "stalled_ns", 1_500_000_000)
+    with closing(Hover(**ends)) as environment:
+        environment.reset(seed=0)
+        environment.task = environment.task.model_copy(update={"timing": timing})
+        infos = [environment.step(np.zeros(3, np.float32))[4] for _ in range(2)]
+    told = [{name: info[name] for name in ("lost_wall_s", "stalled_wall_s") if name in info} for info in infos]
+    assert told == [{}, {"lost_wall_s": 0.25, "stalled_wall_s": 1.5} if timing == "wall" else {}]

@@ -194,9 +194,24 @@ def test_its_file_alone_is_a_training(here: Path) -> None:
             suite.check(config)
             found = config.algorithm, config.simulator, config.environments, config.games, config.task.near_m
             assert found == (algorithm, "kernels", lanes, 3, 2.0)
-    (here / "mine.py").write_text(POST.replace("return self.far_m(now) <", "return not self.far_m(now) >"))
+
+
+@pytest.mark.parametrize("function", [
+    "def success(self, now): return not self.far_m(now) > 1",
+    "def reward(self, before, now): return 1.0 if now.commands > 1 else 0.0",
+    "def fields(self, state, course): return [max(0.0, state.position_m[0])]",
+    "def advance(self, before, now): return {**now.course, 'more': 1.0}",
+    "def advance(self, before, now): return {'aim_m': now.course['aim_m']}",
+    "def advance(self, before, now): return {**now.course, 'whole': now.course['whole'] + 0.5}",
+])  # fmt: skip
+def test_a_task_that_takes_no_arrays_flies_in_mujoco_alone(function: str, here: Path) -> None:
+    sample = "def sample(self, random, options): return {'aim_m': [1.0, 2.0], 'whole': 1}"
+    (here / "mine.py").write_text(f"{POST}\n    {sample}\n")
     with reading(RunRequest("mine.py")) as (_, config):
-        assert (config.env_id, config.simulator) == ("mine.py:Post", "mujoco")
+        assert (config.env_id, config.simulator) == ("mine.py:Post", "kernels")
+    (here / "own.py").write_text(f"{POST}\n    {sample}\n    {function}\n")
+    with reading(RunRequest("own.py")) as (_, config):
+        assert config.simulator == "mujoco"
 
 
 def test_a_file_that_imports_relatively_is_a_part_of_its_package(here: Path) -> None:

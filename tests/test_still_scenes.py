@@ -18,6 +18,7 @@ from scipy.spatial import cKDTree
 from tests.clutter import KINDS, clutter
 from tests.compiling import kept
 from tests.lanes import SideBySide
+from tests.own_tasks import Pair
 from uavaccel.envs.hover import Hover
 from uavaccel.envs.kernel_batch import KernelBatch
 from uavaccel.errors import UserError
@@ -279,9 +280,12 @@ def still(model: mujoco.MjModel) -> set[int]:
 DRONE = asset("mjcf/quadrotor.xml").read_text()
 
 
+def own_text(things: str, rest: str = "") -> str:
+    return f'<mujoco><include file="quadrotor.xml"/><worldbody>{things}</worldbody>{rest}</mujoco>'
+
+
 def own_world(things: str, drone: str = DRONE, rest: str = "") -> mujoco.MjModel:
-    xml = f'<mujoco><include file="quadrotor.xml"/><worldbody>{things}</worldbody>{rest}</mujoco>'
-    return mujoco.MjModel.from_xml_string(xml, {"quadrotor.xml": drone.encode()})
+    return mujoco.MjModel.from_xml_string(own_text(things, rest), {"quadrotor.xml": drone.encode()})
 
 
 def test_what_may_be_touched_is_what_mujoco_lets_touch() -> None:
@@ -363,6 +367,25 @@ def test_a_sun_in_a_turned_body_shines_from_there() -> None:
     np.testing.assert_allclose(light[6:], -expected, atol=1e-6)
     with pytest.raises(UserError, match="a sun that stands still"):
         read_looks(own_world(POST, DRONE.replace("<camera", SUN + "<camera"), LOOKS), (64, 36), depth=False)
+
+
+@pytest.mark.opengl
+def test_textures_lie_on_all_sides_of_boxes_as_in_opengl(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Boxes, upright and turned, that show sides of all axes."""
+    boxes = [((3, 2, 1), (0, 0, 115)), ((4, 0, 0.4), (0, 0, -30)), ((3, -2, 1), (90, 20, 0)), ((6, 1, 4), (0, 50, 160))]
+    things = "".join(
+        f'<geom type="box" size="0.4 0.8 1.2" pos="{" ".join(map(str, place))}" euler="{" ".join(map(str, turn))}" '
+        'material="tiles"/>'
+        for place, turn in boxes
+    )
+    (tmp_path / "quadrotor.xml").write_text(DRONE)
+    path = tmp_path / "blocks.xml"
+    path.write_text(own_text(SUN.replace("spec", 'ambient="0.6 0.6 0.6" spec') + things, LOOKS))
+    monkeypatch.setattr(scenes, "scene_path", lambda scene, scenery="plain": path)
+    keys: dict[str, Any] = {"observation": "colour", "picture_size": [128, 72], "altitude_m": 2.0}
+    with closing(KernelBatch(Pair, 1, threads=1, **keys)) as batch, closing(Pair(**keys)) as alone:
+        ours, theirs = batch.reset(seed=0)[0][0].astype(int), alone.reset(seed=0)[0]
+    assert np.mean(np.abs(ours - theirs) > 1) < 0.005
 
 
 def test_what_glows_by_its_material_glows_in_every_shape() -> None:

@@ -128,7 +128,8 @@ def test_a_camera_sees_through_its_own_vehicle_alone() -> None:
 
     def normals(camera: str, vehicle: str, external: bool) -> NDArray[np.uint8]:
         request = {"camera_name": camera, "image_type": 6, "compress": False}
-        (picture,) = call(api, "simGetImages", [request], vehicle, external)
+        picture, packed = call(api, "simGetImages", [request, request | {"compress": True}], vehicle, external)
+        assert call(api, "simGetImage", camera, 6, vehicle, external) == packed["image_data_uint8"]
         told = call(api, "simGetCameraInfo", camera, vehicle, external)["pose"]["position"]
         assert told == picture["camera_position"]
         assert not external or list(told.values()) == [5.0, 5.0, -30.0], "in no vehicle's frame"

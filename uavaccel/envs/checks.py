@@ -17,8 +17,9 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from uavaccel.config import validate
+from uavaccel.envs.arrays import full, mapped, rank
 from uavaccel.envs.task import AnyLayout, Mirror, Task, as_frame, told_of
-from uavaccel.envs.values import AT_REST, CONDITIONS, Action, Actions, Course, Moment
+from uavaccel.envs.values import AT_REST, CONDITIONS, Action, Actions, Course, Moment, Number
 from uavaccel.errors import UserError
 from uavaccel.kinematics import FlightGoal, Kinematics
 from uavaccel.own_code import errors_named, files_of
@@ -285,6 +286,24 @@ def _check_mirror(call: Functions, actions: spaces.Space[Any], fields: int | Non
             raise ValueError(f"fields = {list(mirror.fields)}: must be all {fields} places")
     except (TypeError, ValueError) as error:
         raise call.wrong("mirrored", f"must return a Mirror of envs.task or None: {error}") from error
+
+
+def as_sampled(task: Task, course: Mapping[str, Any], before: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Return a course as arrays. Raises UserError unless it has the numbers that were sampled, and their kinds."""
+    items = f"its course must have the items that sample gives it: {', '.join(map(str, before))}"
+    if set(course) != set(before):
+        raise Functions(task).wrong("advance", items)
+
+    def kept(old: Number, new: Number) -> Number:
+        if rank(new := full(new, old)) > rank(old):
+            what = f"a number of its course is {new.dtype}, and was sampled as {old.dtype}"
+            raise Functions(task).wrong("advance", what)
+        return new
+
+    try:
+        return dict(mapped(kept, dict(before), course))
+    except (IndexError, KeyError, TypeError, ValueError) as error:  # of items that are nested otherwise
+        raise Functions(task).wrong("advance", items) from error
 
 
 def features_name(task: Task) -> str:

@@ -14,8 +14,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from gymnasium import spaces
 
-from uavaccel.envs.arrays import cast, full, joined, mapped, namespace_of, picture_of, rank
-from uavaccel.envs.checks import Functions, check_features, check_reward
+from uavaccel.envs.arrays import cast, full, joined, mapped, namespace_of, picture_of
+from uavaccel.envs.checks import Functions, as_sampled, check_features, check_reward
 from uavaccel.envs.sensors import NO_ACTION
 from uavaccel.envs.stopwatch import PHASES
 from uavaccel.envs.task import RAD, Task
@@ -191,7 +191,7 @@ class Judge:
         """Judge a command as `FlightEnv.step` judges one."""
         task, like = self.task, flown.commands
         course = self._over_arrays("advance", like, lambda: task.advance(before, flown))
-        now = flown._replace(course=self._as_sampled(course, flown.course))
+        now = flown._replace(course=as_sampled(task, course, flown.course))
         success = self._over_arrays("success", like, lambda: full(task.success(now), like) != 0)
         failure = self._over_arrays("failure", like, lambda: full(task.failure(now), like) != 0)
         reward = self._over_arrays("reward", like, lambda: full(task.reward(before, now), like))
@@ -201,26 +201,6 @@ class Judge:
         terminated = success | failure
         truncated = ~terminated & (now.commands >= task.max_commands)
         return now.course, Judged(reward, success, terminated, truncated)
-
-    def _as_sampled(self, course: Mapping[str, Any], before: Mapping[str, Any]) -> Mapping[str, Any]:
-        """Return a course as arrays. Raises UserError unless it has the numbers that were sampled, and their kinds."""
-
-        def wrong(what: str) -> UserError:
-            return Functions(self.task).wrong("advance", what)
-
-        items = f"its course must have the items that sample gives it: {', '.join(map(str, before))}"
-        if set(course) != set(before):
-            raise wrong(items)
-
-        def kept(old: Number, new: Number) -> Number:
-            if rank(new := full(new, old)) > rank(old):
-                raise wrong(f"a number of its course is {new.dtype}, and was sampled as {old.dtype}")
-            return new
-
-        try:
-            return dict(mapped(kept, dict(before), course))
-        except (IndexError, KeyError, TypeError, ValueError) as error:  # of items that are nested otherwise
-            raise wrong(items) from error
 
     def _times(self, flown: Flown) -> tuple[Number, Number]:
         """Return which samples (n, S) precede a collision, and the frames' times.

@@ -12,7 +12,7 @@ from gymnasium import spaces
 
 from uavaccel.config import MOST_GAMES
 from uavaccel.envs.arrays import cast, full, joined, stacked
-from uavaccel.envs.checks import whole_number
+from uavaccel.envs.checks import as_sampled, whole_number
 from uavaccel.envs.flight_env import FlightEnv
 from uavaccel.envs.sensors import PICTURE_SIZE
 from uavaccel.envs.task import Task
@@ -117,11 +117,11 @@ def flies_over_arrays(task: Task) -> bool:
         course = stacked([task.sample(np.random.default_rng(game), {}) for game in range(2)])
         begun = Moments(state, list(state.position_m), Collisions(none - 1, ()), none, course)
         goal = task.goal(cast(actions, "float64").T if isinstance(space, spaces.Box) else actions)
-        now = begun._replace(course=task.advance(begun, begun))
+        now = begun._replace(course=as_sampled(task, task.advance(begun, begun), course))
         seen = task.fields(state, course) if type(task).features is Task.features else ()
         numbers = [task.reward(begun, now), task.success(now), task.failure(now), *seen]
         flat = joined([full(number, like) for number in numbers], like)
-        return isinstance(goal, get_args(FlightGoal)) and flat.shape[0] == 2 and set(now.course) == set(course)
+        return isinstance(goal, get_args(FlightGoal)) and flat.shape[0] == 2
     except Exception:  # whatever own code does with an array that it did not expect
         return False
 

@@ -274,8 +274,7 @@ class VirtualTransport(Transport):
         self.known.sending(method)
         call = PendingCall(method, params)
         arrival = max(self.clock.now_ns() + self._latency.request_ns(call.channel), self._let_through_ns())
-        self._handled_ns = max(self._handled_ns, arrival)  # one socket keeps its order
-        self._run_to(self._handled_ns)
+        self._run_to(arrival)
         try:
             value = self._api.call(method, params, self._handled_ns)
         except rpc.RpcError as error:
@@ -307,7 +306,7 @@ class VirtualTransport(Transport):
 
     def catch_up(self) -> None:
         """Advance the simulation to the clock's present, as the next message would."""
-        self._run_to(max(self._handled_ns, self.clock.now_ns()))
+        self._run_to(self.clock.now_ns())
 
     def _let_through_ns(self) -> int:
         """Return when Nagle's algorithm on a modelled socket releases a request after an unanswered command.
@@ -341,10 +340,10 @@ class VirtualTransport(Transport):
     def _run_to(self, wall_ns: int) -> None:
         """Advance the simulation to a wall time; a wall timer before it ends exactly, as its lateness is included."""
         simulation = self._api.simulation
+        self._handled_ns = max(self._handled_ns, wall_ns)  # one socket keeps its order
         timer = simulation.wall_timer_ns()
-        if timer is not None and timer <= wall_ns:
+        if timer is not None and timer <= self._handled_ns:
             simulation.advance_to(timer)
-        self._handled_ns = max(self._handled_ns, wall_ns)
         simulation.advance_to(self._handled_ns)
 
 
