@@ -471,7 +471,7 @@ SESSION = f"""
 run dp1 --clock 10 --timing virtual --t-move 0.5 --rounds 1 --games 1 --seed 3 --set reference_games=2 --out dp1
 evaluate straight {SMALL}=4 --out one
 evaluate offset:1 {SMALL}=4 --set first_lane=1 --against one --out two
-evaluate offset:1 {SMALL}=4 --set first_lane=9 --against one --dry-run
+evaluate offset:1 {SMALL}=4 --set first_lane=9 --against one --out one --dry-run
 evaluate offset:1 {SMALL}=4 --set first_lane=9 --against one --out three
 run --report one two --trust
 evaluate straight {SMALL}=3 --sweep wind=0,4 --out sweep
