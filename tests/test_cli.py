@@ -9,6 +9,7 @@ import subprocess
 import sys
 from contextlib import nullcontext, suppress
 from dataclasses import is_dataclass, replace
+from errno import ENOSPC
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Annotated, Any, Literal, cast, get_args, get_origin
@@ -374,14 +375,21 @@ def test_a_quick_run_says_so_and_with_which_keys(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("suite", "command"), [("train", "train"), ("evaluate", "evaluate"), (None, "run")])
-def test_an_interrupted_run_says_which_command_goes_on(suite: str | None, command: str, tmp_path: Path) -> None:
+def test_a_run_that_is_stopped_says_which_command_goes_on(suite: str | None, command: str, tmp_path: Path) -> None:
     out = tmp_path / "a run"  # as the shell takes it
     out.mkdir()
     (out / "config.yaml").touch()
     plan: Any = SimpleNamespace(out=out, request=RunRequest("train", suite=suite))
-    expected = re.escape(f"interrupted; go on with: uavaccel {command} --resume --out '{out}'")
-    with pytest.raises(Interrupted, match=f"^{expected}$"), resumable(plan):
-        raise KeyboardInterrupt
+    full, named, wrong = OSError(ENOSPC, "is full", "rows"), UserError("rows: is full"), UserError("games = x")
+    named.__cause__ = full
+    memory = MemoryError(), UserError, "not enough memory: .*"
+    stopped = KeyboardInterrupt(), Interrupted, "interrupted"
+    for error, kind, said in (stopped, memory, *((each, UserError, "rows: is full") for each in (full, named))):
+        expected = f"^{said}; " + re.escape(f"go on with: uavaccel {command} --resume --out '{out}'") + "$"
+        with pytest.raises(kind, match=expected), resumable(plan):
+            raise error
+    with pytest.raises(UserError, match=r"^games = x$"), resumable(plan):
+        raise wrong
 
 
 def test_an_interrupted_command_says_so() -> None:
@@ -471,7 +479,7 @@ SESSION = f"""
 run dp1 --clock 10 --timing virtual --t-move 0.5 --rounds 1 --games 1 --seed 3 --set reference_games=2 --out dp1
 evaluate straight {SMALL}=4 --out one
 evaluate offset:1 {SMALL}=4 --set first_lane=1 --against one --out two
-evaluate offset:1 {SMALL}=4 --set first_lane=9 --against one --dry-run
+evaluate offset:1 {SMALL}=4 --set first_lane=9 --against one --out one --dry-run
 evaluate offset:1 {SMALL}=4 --set first_lane=9 --against one --out three
 run --report one two --trust
 evaluate straight {SMALL}=3 --sweep wind=0,4 --out sweep

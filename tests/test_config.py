@@ -2,6 +2,7 @@
 
 import json
 import re
+from copy import deepcopy
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -12,6 +13,7 @@ from pydantic import Field, ValidationError, field_validator
 
 from uavaccel.config import Config, apply_overrides, dump_yaml, load_yaml, parse_yaml, schema, to_yaml, validate
 from uavaccel.errors import UserError
+from uavaccel.suites.registry import merged
 
 pytestmark = pytest.mark.usefixtures("whole_messages")
 
@@ -207,6 +209,7 @@ def test_an_override_sets_its_key(parts: list[str], value: Any) -> None:
 
 def test_overrides_apply_in_turn_and_leave_the_original_alone() -> None:
     original = {"clock_speeds": [1, 5], "camera": {"rate_hz": 30}, "note": None}
+    before = deepcopy(original)
     overrides = ["clock_speeds.1=50", "camera.rate_hz=3", "camera.rate_hz=4", "note.author=me", "empty="]
     assert apply_overrides(original, overrides) == {
         "clock_speeds": [1, 50],
@@ -214,4 +217,6 @@ def test_overrides_apply_in_turn_and_leave_the_original_alone() -> None:
         "note": {"author": "me"},
         "empty": None,
     }
-    assert original == {"clock_speeds": [1, 5], "camera": {"rate_hz": 30}, "note": None}
+    keys = {"camera": {"rate_hz": 5}, "camera.rate_hz": 6}
+    assert merged(original, keys, ["games=3"]) == {**before, "camera": {"rate_hz": 6}, "games": 3}
+    assert (original, keys["camera"]) == (before, {"rate_hz": 5})

@@ -198,7 +198,9 @@ def test_forks_are_waited_for_and_ended_as_processes_are(capfd: pytest.CaptureFi
 
 
 WORKS, WAITS = "while True: pass", "import signal; print(flush=True); signal.pause()"
-STARTER = f"import subprocess, sys; subprocess.Popen([sys.executable, '-c', {WORKS!r}]); print(flush=True); input()"
+STARTER = f"""import subprocess, sys, threading
+def start(): subprocess.Popen([sys.executable, '-c', {WORKS!r}]), print(flush=True), input()
+threading.Thread(target=start).start()"""
 
 Start = Callable[[str], int]
 

@@ -349,10 +349,15 @@ def test_a_value_that_does_not_fit_is_one_line(keys: dict[str, Any], said: str) 
          r"observe_age, observe_actions, observe_planned: need a Box of observations, not Discrete\(16\)"),
         ("uavaccel/Hover-v0", {}, {}, "Hover: timing = lockstep: make it with timing='virtual' for real time"),
         ("uavaccel/Hover-v0", HOVER, {}, "command: 'adsc' here, but 'tcsc' in Hover; give both the same"),
+        ("uavaccel/Hover-v0", HOVER, {"command": "tcsc", "clock_speed": 2.0},
+         "clock_speed: 2.0 here, but 1.0 in Hover; give both the same"),
         ("CartPole-v1", {}, {"default_action": 0, "chunk": 2, "ensemble": 0.0}, "ensemble: actions of a Discrete have"),
         *(
             ("uavaccel/Hover-v0", HOVER, {"command": "tcsc", **keys}, f"{next(iter(keys))}: leave it out: Hover's own")
-            for keys in ({"period_s": 5}, {"meanwhile": "default"}, {"chunk": 2}, {"head_start": True})
+            for keys in (
+                {"period_s": 5}, {"meanwhile": "default"}, {"default_action": np.zeros(3)}, {"chunk": 2},
+                {"head_start": True}, {"overlap": True}, {"observe_planned": 1},
+            )
         ),
     ],
 )  # fmt: skip

@@ -237,6 +237,11 @@ def test_every_reset_begins_with_thoughts_drawn_by_the_seeds_of_each(source: Thi
     generators = [thinking_generator(SEED + place) for place in range(2)]
     thoughts_ns = [[source.sample_ns(generator) for generator in generators] for _ in range(2)]
     assert batch.charged_ns == 2 * thoughts_ns
+    vector.reset(seed=SEED, options={"reset_mask": np.array([False, True])})  # of the one that has not ended
+    for _ in range(2):
+        vector.step(None)
+    (_, first_ns), (_, second_ns) = thoughts_ns
+    assert batch.charged_ns[4:] == [[0, first_ns], [source.sample_ns(generators[0]), second_ns]]
 
 
 @pytest.mark.parametrize(

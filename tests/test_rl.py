@@ -257,8 +257,8 @@ def test_variants_are_compared_by_common_seeds_and_drawn_apart(tmp_path: Path) -
     assert looks.items() >= {"ADSC, airsim": "-", "ADSC, native": "--"}.items()
 
 
-def taken(device: str, gpus: int, monkeypatch: pytest.MonkeyPatch) -> list[str | None]:
-    """What a new process takes: GPU, renderer, and its share of five cores."""
+def taken(device: str, gpus: int, monkeypatch: pytest.MonkeyPatch, **given: str) -> list[str | None]:
+    """What a new process takes, `given` an environment: GPU, renderer, and its share of five cores."""
     cores: list[set[int]] = []
     monkeypatch.setattr("torch.cuda.device_count", lambda: gpus)
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0, 1, 2, 3, 4}, raising=False)
@@ -266,6 +266,8 @@ def taken(device: str, gpus: int, monkeypatch: pytest.MonkeyPatch) -> list[str |
     monkeypatch.setattr(parts, "_place", None)
     for name in (parts.VISIBLE, parts.EGL_DEVICE):
         monkeypatch.delenv(name, raising=False)
+    for name, value in given.items():
+        monkeypatch.setenv(name, value)
     parts.acquire_gpu(device)
     return [os.environ.get(parts.VISIBLE), os.environ.get(parts.EGL_DEVICE), *map(str, cores)]
 
@@ -274,9 +276,12 @@ def test_each_process_takes_a_gpu_of_its_own(tmp_path: Path, monkeypatch: pytest
     """A place is a lock, which another opening of the file in this process meets as another process would."""
     monkeypatch.setattr("tempfile.gettempdir", lambda: str(tmp_path))
     first, second = ["0", "0", "{0, 1}"], ["1", "1", "{2, 3}"]
+    few = {parts.VISIBLE: "5, GPU-8f"}  # of all there are
+    by_number, by_name = ["5", "5", "{0, 1}"], ["GPU-8f", None, "{2, 3}"]
     held: list[Any] = []
-    for expected in (first, second, first, second):
-        assert taken("cuda", 2, monkeypatch) == expected
+    renderer, own = {parts.EGL_DEVICE: "3"}, ["1", "3", "{2, 3}"]
+    for expected, given in ((first, {}), (own, renderer), (by_number, few), (by_name, few)):
+        assert taken("cuda", 2, monkeypatch, **given) == expected
         held.append(parts._place)
     held[1].close()  # as at its process's end
     assert taken("cuda", 2, monkeypatch) == second

@@ -29,11 +29,8 @@ from uavaccel.realtime.thinking import (
 )
 from uavaccel.units import NS_PER_S
 
-ITS_TASKS = (
-    *("meanwhile", "default_action", "chunk", "overlap", "early", "head_start", "frozen_prefix", "ensemble"),
-    *("period_s", "observe_planned"),
-)
-"""Options that an environment with clocks of its own decides itself."""
+ITS_TASKS = "meanwhile", "default_action", "chunk", "overlap", "head_start", "period_s", "observe_planned"
+"""Options that an environment with clocks of its own decides itself, with those that need a chunk."""
 
 
 class RealTime(gymnasium.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
@@ -158,7 +155,7 @@ def check_clocks(inside: Any, options: LoopOptions) -> None:
         if (there := getattr(task, key)) != (here := getattr(options, key)):
             raise UserError(f"{key}: {here!r} here, but {there!r} in {name}; give both the same")
     for key in ITS_TASKS:
-        if getattr(options, key) != getattr(LoopOptions, key):
+        if not np.array_equal(getattr(options, key), getattr(LoopOptions, key)):
             raise UserError(
                 f"{key}: leave it out: {name}'s own task says how long a step is, and what it does meanwhile"
             )

@@ -185,6 +185,11 @@ def cumulative_wall_s(timings: Timings) -> list[float]:
     return list(accumulate(steps))
 
 
+def whole_wall_s(timings: Timings) -> float:
+    """Return the wall time in seconds of all commands, over all starts; 0 where it was not measured."""
+    return (cumulative_wall_s(timings) or [0.0])[-1]
+
+
 def over_all_starts(readings: Sequence[Mapping[str, float]]) -> Counter[str]:
     """Return the sums of stopwatches that restart whenever a run is resumed."""
     total = Counter[str](readings[-1] if readings else {})
@@ -196,7 +201,7 @@ def over_all_starts(readings: Sequence[Mapping[str, float]]) -> Counter[str]:
 
 def pace_of(timings: Timings, simulated_s: float) -> str:
     """Return in words how long games of so many simulated seconds took; empty where it was not measured."""
-    took_s = (cumulative_wall_s(timings) or [0.0])[-1]
+    took_s = whole_wall_s(timings)
     if not took_s:
         return ""
     what = "flying and learning" if "learner_s" in timings[-1] else "flying"

@@ -273,7 +273,7 @@ class Rl(SuiteOfRuns[RlConfig, TrainingCase]):
             if name == "training":
                 report = train_part(opened, place, part.resolve(seed))
                 row["training"] = subset(report.summary, *TrainingResult.__annotations__)
-                host["training_s"] = (experiment.cumulative_wall_s(report.timings) or [0.0])[-1]
+                host["training_s"] = experiment.whole_wall_s(report.timings)
                 continue
             report, took = experiment.timed(partial(evaluate_part, opened, place, part.resolve(seed)))
             row["evaluations"].append(subset(report.summary, *EvaluationResult.__annotations__))

@@ -23,7 +23,7 @@ from uavaccel.metrics.estimates import Success, mean_estimate
 from uavaccel.metrics.intervals import Proportion
 from uavaccel.records import RunDirectory, timing_provenance
 from uavaccel.suites import train
-from uavaccel.suites.experiment import Experiment, GameRow, cumulative_wall_s, subset
+from uavaccel.suites.experiment import Experiment, GameRow, subset
 from uavaccel.suites.parts import SuiteOfRuns, fly_part, part_run
 from uavaccel.suites.report import Report, Summary, method_note, summary_table
 from uavaccel.suites.suite import GameResult, SimpleCase
@@ -130,7 +130,7 @@ class Seeds(SuiteOfRuns[SeedsConfig, SeedCase]):
         if evaluated := report.summary.get("evaluations"):
             row["evaluation"] = subset(evaluated[-1], *Evaluated.__annotations__)
             row["won"] = train.evaluations(report.run)[-1]["is_success"]
-        return GameResult(row, host={"training_s": (cumulative_wall_s(report.timings) or [0.0])[-1]})
+        return GameResult(row)
 
     def summary(self, report: Report) -> Summary:
         """Return each training, and over the seeds each number's mean with a 95 % interval, and its range.
