@@ -82,7 +82,10 @@ def test_a_suite_that_keeps_recordings_has_flights_for_free(tmp_path: Path) -> N
         ({"images": np.zeros((2, 8, 8), np.uint8)}, r"^a: images has the shape \(2, 8, 8\), not \(0, 8, 8\)$"),
         ({"images": np.zeros((0, 8, 8))}, r"^a: images are float64 \(0, 8, 8\), not uint8"),
         ({"orientation_wxyz": np.zeros((5, 4))}, "^a: orientation_wxyz has an attitude of length 0$"),
-        ({"commands": Commands(np.zeros(1), np.zeros(2), np.zeros((0, 3)))}, "^a: commands.end_ns has the shape"),
+        (
+            {"commands": Commands(np.zeros(1, int), np.zeros(2, int), np.zeros((0, 3)))},
+            "^a: commands.end_ns has the shape",
+        ),
     ],
 )
 def test_a_flight_of_ones_own_has_arrays_that_fit(more: dict[str, Any], reason: str) -> None:
@@ -259,7 +262,7 @@ def flight() -> Flight:
     ]
     images = np.stack([np.full((144, 256), 40 * n, np.uint8) for n in range(3)])
     position_m = np.arange(15.0).reshape(5, 3)
-    rest = np.tile([1.0, 0.0, 0.0, 0.0], (5, 1)) * np.arange(5.0)[:, None]
+    rest = np.tile([1.0, 0.0, 0.0, 0.0], (5, 1)) * np.arange(1.0, 6.0)[:, None]
     seen: dict[str, Any] = {"image_ns": time_ns[1:4], "images": images, "windows": windows}
     return Flight("who", 2.0, time_ns, position_m, rest, commands, **seen)
 
@@ -279,7 +282,7 @@ def test_a_film_shows_each_picture_with_the_events_up_to_it() -> None:
     assert film.off_events[:, 3, 7].tolist() == [1, 2, 2]
     assert len(list(frames(film))) == 3  # without a lane too
     with pytest.raises(UserError, match="who: has no images to film"):
-        film_of(replace(flight(), images=np.zeros((0, 0, 0), np.uint8)))
+        film_of(replace(flight(), image_ns=np.zeros(0, int), images=np.zeros((0, 0, 0), np.uint8)))
 
 
 @pytest.mark.usefixtures("nothing_behind")
@@ -301,4 +304,4 @@ def test_a_film_has_the_view_from_behind_at_its_pictures(monkeypatch: pytest.Mon
     ((scene, layout, position_m, orientation_wxyz, size, target),) = told
     seen: tuple[Any, ...] = (film.chase, film.layout, film.target_m, scene, layout, size, target)
     assert seen == ("behind", lane, target_m, "lane", lane, (512, 288), target_m)
-    assert (position_m[:, 0].tolist(), orientation_wxyz[:, 0].tolist()) == ([3.0, 6.0, 9.0], [1.0, 2.0, 3.0])
+    assert (position_m[:, 0].tolist(), orientation_wxyz[:, 0].tolist()) == ([3.0, 6.0, 9.0], [2.0, 3.0, 4.0])
