@@ -169,7 +169,7 @@ def test_events_are_columns_of_pixels_microseconds_and_signs() -> None:
 
 
 def test_a_game_is_told_in_order_and_in_its_own_colours() -> None:
-    """Two poses; at the second one a picture, and a command after one of no velocity; events, a collision at the end."""
+    """Two poses; a picture at the second, and a command after one of no velocity; events, a collision at the end."""
     picture = np.zeros((1, 144, 256, 3), np.uint8)
     picture[..., 0], picture[..., 1] = 200, 50  # more red than green
     on = np.zeros((144, 256), np.int32)
