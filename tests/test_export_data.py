@@ -169,13 +169,13 @@ def test_events_are_columns_of_pixels_microseconds_and_signs() -> None:
 
 
 def test_a_game_is_told_in_order_and_in_its_own_colours() -> None:
-    """Two poses; a command and a picture at the second one; events in between, a collision at the end."""
+    """Two poses; a picture at the second, and a command after one of no velocity; events, a collision at the end."""
     picture = np.zeros((1, 144, 256, 3), np.uint8)
     picture[..., 0], picture[..., 1] = 200, 50  # more red than green
     on = np.zeros((144, 256), np.int32)
     on[3, 7] = 9
     poses = np.array([[0.0, 0.0, -9.0], [1.0, 2.0, -8.0]]), np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0]])
-    commands = Commands(np.array([50]), np.array([60]), np.array([[3.0, 4.0, 0.0]]))
+    commands = Commands(np.array([0, 50]), np.array([50, 60]), np.array([[np.nan] * 3, [3.0, 4.0, 0.0]]))
     velocities = np.array([[5.0, 0.0, 0.0], [6.0, 0.0, 0.0]])
     windows = (Window(20, np.array([[1e-8, 7, 3, 1.0]])), Window(60, None, (on, 0 * on)))
     seen: dict[str, Any] = {"image_ns": np.array([50]), "images": picture, "windows": windows}

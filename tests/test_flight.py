@@ -27,6 +27,7 @@ from uavaccel.suites.flight import Commands, Flight, Window, film_of
 from uavaccel.suites.seeds import Seeds
 from uavaccel.suites.suite import Suite
 from uavaccel.vision.dvs import PRESETS
+from uavaccel.watch.replay import Track
 from uavaccel.wire.image_api import lane_layout
 
 MS = 1_000_000
@@ -71,6 +72,32 @@ def test_a_suite_that_keeps_recordings_has_flights_for_free(tmp_path: Path) -> N
     run, row = run_with(tmp_path / "other", configured("dp1"), {}, arrays)
     with pytest.raises(UserError, match=r"the arrays of a have no position_m, command_end_s$"):
         Suite.flight(Dp1(), SimpleNamespace(run=run), row)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("more", "reason"),
+    [
+        ({"velocity_m_s": np.ones((4, 3))}, r"^a: velocity_m_s has the shape \(4, 3\), not \(5, 3\)$"),
+        ({"velocity_m_s": np.full((5, 3), np.nan)}, "^a: velocity_m_s has numbers that are not finite$"),
+        ({"images": np.zeros((2, 8, 8), np.uint8)}, r"^a: images has the shape \(2, 8, 8\), not \(0, 8, 8\)$"),
+        ({"images": np.zeros((0, 8, 8))}, r"^a: images are float64 \(0, 8, 8\), not uint8"),
+        ({"orientation_wxyz": np.zeros((5, 4))}, "^a: orientation_wxyz has an attitude of length 0$"),
+        (
+            {"commands": Commands(np.zeros(1, int), np.zeros(2, int), np.zeros((0, 3)))},
+            "^a: commands.end_ns has the shape",
+        ),
+    ],
+)
+def test_a_flight_of_ones_own_has_arrays_that_fit(more: dict[str, Any], reason: str) -> None:
+    flight = Flight.of("a", 1.0, POSES | {"command_start_s": np.zeros(1), "command_end_s": np.ones(1)})
+    with pytest.raises(UserError, match=reason):
+        replace(flight, **more)
+
+
+def test_a_flight_of_one_sample_is_watched_where_it_is() -> None:
+    arrays = {name: values[:1] for name, values in POSES.items()}
+    flight = Flight.of("a", 1.0, arrays | {"command_start_s": np.zeros(1), "command_end_s": np.ones(1)})
+    assert Track("a", flight).pose(0.5).tolist() == [0.0, -1.0, -2.0, 1.0, 0.0, 0.0, 0.0]
 
 
 def test_what_is_compared_is_shown_first() -> None:
@@ -235,7 +262,7 @@ def flight() -> Flight:
     ]
     images = np.stack([np.full((144, 256), 40 * n, np.uint8) for n in range(3)])
     position_m = np.arange(15.0).reshape(5, 3)
-    rest = np.tile([1.0, 0.0, 0.0, 0.0], (5, 1)) * np.arange(5.0)[:, None]
+    rest = np.tile([1.0, 0.0, 0.0, 0.0], (5, 1)) * np.arange(1.0, 6.0)[:, None]
     seen: dict[str, Any] = {"image_ns": time_ns[1:4], "images": images, "windows": windows}
     return Flight("who", 2.0, time_ns, position_m, rest, commands, **seen)
 
@@ -255,7 +282,7 @@ def test_a_film_shows_each_picture_with_the_events_up_to_it() -> None:
     assert film.off_events[:, 3, 7].tolist() == [1, 2, 2]
     assert len(list(frames(film))) == 3  # without a lane too
     with pytest.raises(UserError, match="who: has no images to film"):
-        film_of(replace(flight(), images=np.zeros((0, 0, 0), np.uint8)))
+        film_of(replace(flight(), image_ns=np.zeros(0, int), images=np.zeros((0, 0, 0), np.uint8)))
 
 
 @pytest.mark.usefixtures("nothing_behind")
@@ -277,4 +304,4 @@ def test_a_film_has_the_view_from_behind_at_its_pictures(monkeypatch: pytest.Mon
     ((scene, layout, position_m, orientation_wxyz, size, target),) = told
     seen: tuple[Any, ...] = (film.chase, film.layout, film.target_m, scene, layout, size, target)
     assert seen == ("behind", lane, target_m, "lane", lane, (512, 288), target_m)
-    assert (position_m[:, 0].tolist(), orientation_wxyz[:, 0].tolist()) == ([3.0, 6.0, 9.0], [1.0, 2.0, 3.0])
+    assert (position_m[:, 0].tolist(), orientation_wxyz[:, 0].tolist()) == ([3.0, 6.0, 9.0], [2.0, 3.0, 4.0])

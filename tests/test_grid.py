@@ -19,7 +19,8 @@ from uavaccel.records import RunDirectory
 from uavaccel.resources import experiment
 from uavaccel.suites.dp1 import Dp1, Dp1Config
 from uavaccel.suites.evaluate import Evaluation
-from uavaccel.suites.grid import Ablation, Point, Robustness, Sweep, band_figure
+from uavaccel.suites.grid import Ablation, Point, PolicyGrid, Robustness, Sweep, band_figure
+from uavaccel.suites.runner import cases_of
 from uavaccel.suites.session import RunRequest, reading
 
 pytestmark = pytest.mark.usefixtures("whole_messages")
@@ -194,3 +195,11 @@ def test_a_sweep_on_the_wall_clock_is_flown_in_one_process() -> None:
     assert Sweep().provenance(wall) == {"policy_sha256": None}, "a baseline's"
     assert Sweep().status([{"case": "wind-1", "successes": 1, "games": 2}]) == "wind-1 won 1 of 2"
     assert Sweep().games(wall, Point("", "virtual", 0.0, {}, {})) == 2
+
+
+def test_a_grid_without_points_is_refused_in_a_line() -> None:
+    class Empty(PolicyGrid):
+        name, points = "empty", lambda self, config: iter(())
+
+    with pytest.raises(UserError, match=r"^empty: there is no game to fly: cases is empty$"):
+        cases_of(Empty(), configured("sweep", "sweep={wind: [1]}"))

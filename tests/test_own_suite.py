@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import shutil
+import subprocess
 import sys
 from collections.abc import Callable
 from contextlib import nullcontext
@@ -141,6 +143,13 @@ def test_a_suite_that_is_none_is_one_line(name: str, hint: str, here: Path) -> N
     with trusting(), pytest.raises(UserError) as caught:
         find_suite(name, "toy.yaml")
     assert str(caught.value).startswith(f"toy.yaml: suite = {name!r}: {hint.replace('HERE', str(here))}")
+
+
+def test_own_code_finds_the_environments_in_a_worker_process(here: Path) -> None:
+    """In which this package was imported before Gymnasium."""
+    (here / "user.py").write_text("import gymnasium, uavaccel\ngymnasium.spec('uavaccel/Hover-v0')\n")
+    program = "from uavaccel.own_code import own_module, trusting\nwith trusting(): own_module('user', 'user.yaml')"
+    subprocess.run([sys.executable, "-c", program], env={**os.environ, "PYTHONPATH": str(ROOT)}, check=True)
 
 
 def test_a_suite_in_a_package_is_imported_from_above_it(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -173,7 +173,7 @@ def entries(row: Row, game: Flight) -> Iterator[Entry]:
     own = {"name": "uavaccel", "file": "", "line": 0}
     topics = (
         _poses(game),
-        (Entry(at, "/drone/command", _velocity(at, velocity)) for at, velocity in asked),
+        (Entry(at, "/drone/command", _velocity(at, velocity)) for at, velocity in asked if np.isfinite(velocity).all()),
         (Entry(at, "/camera/front_center", _image(at, picture)) for at, picture in seen),
         _events(game),
         (Entry(at, "/log", _stamped(at, level=level, message=said, **own)) for at, level, said in log),

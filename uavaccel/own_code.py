@@ -17,6 +17,7 @@ import sys
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from importlib import import_module
+from importlib.util import find_spec
 from inspect import signature
 from itertools import takewhile
 from pathlib import Path
@@ -248,7 +249,12 @@ def _modules_from(folder: Path) -> dict[str, Path]:
 
 
 def import_alone(name: str, file: Path | None = None) -> ModuleType:
-    """Import a module for a class in it. A program that would fly there, or start processes, is refused."""
+    """Import a module for a class in it. A program that would fly there, or start processes, is refused.
+
+    The environments are registered before: its own `import uavaccel` comes too late for that in a worker process.
+    """
+    if find_spec("uavaccel.envs"):
+        import_module("uavaccel.envs")
     _importing.append(file or name)
     try:
         return import_module(name)

@@ -183,7 +183,7 @@ def _flight(
     once_more = ", flown once more in the exact simulator, where it may end otherwise" if other else ""
     title = f"{game}, {command_at_clock(task.model_dump())}: {end}{once_more}"
     goals = [task.goal(step.action) for step in steps]
-    asked = np.array([getattr(goal, "velocity_m_s", (0.0, 0.0, 0.0)) for goal in goals], np.float64)
+    asked = np.array([getattr(goal, "velocity_m_s", (np.nan,) * 3) for goal in goals], np.float64)
     more: dict[str, Any] = {"scene": task.scene, "lane": task.lane_layout(ended), "collision": hit}
     more["target_m"] = next((ended[key] for key in TARGETS if key in ended), None)
     if not pictures:

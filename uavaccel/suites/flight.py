@@ -31,6 +31,7 @@ FLIGHT = {
     "time_s": ArrayForm("fiu", ("samples",), ascends=True),
     "position_m": ArrayForm("fiu", ("samples", 3)),
     "orientation_wxyz": ArrayForm("fiu", ("samples", 4)),
+    "linear_velocity_m_s": ArrayForm("fiu", ("samples", 3), optional=True),
     **dict.fromkeys(("command_start_s", "command_end_s"), ArrayForm("fiu", ascends=True)),
 }
 """Their forms in a suite of one's own, whose numbers may be of any type."""
@@ -41,7 +42,9 @@ NOT_SHOWN = nullcontext[Callable[[], object]](lambda: None)
 
 
 class Commands(NamedTuple):
-    """The c commands of a flight: when each began and ended, and its velocity (c, 3) NED in m/s, (0, 3) if unknown."""
+    """The c commands of a flight: when each began and ended, and its velocity (c, 3) NED in m/s.
+
+    That is (0, 3) if it is unknown, and NaN for what asks for no velocity."""
 
     start_ns: Times
     end_ns: Times
@@ -99,6 +102,26 @@ class Flight:
     """When it hit something, and what."""
     decisions: Decisions | None = None
     """What a policy saw and how it rated the actions."""
+
+    def __post_init__(self) -> None:
+        """Raise UserError for arrays that do not fit together, as a suite of one's own may give."""
+        samples, images = len(self.time_ns), self.images
+        wanted = {
+            "position_m": (self.position_m, (samples, 3)),
+            "orientation_wxyz": (self.orientation_wxyz, (samples, 4)),
+            "velocity_m_s": (self.velocity_m_s, (samples, 3)),
+            "commands.end_ns": (self.commands.end_ns, (len(self.commands.start_ns),)),
+            "images": (images, (len(self.image_ns), *images.shape[1:3], *[3] * (images.ndim > 3))),
+        }
+        for name, (array, shape) in wanted.items():
+            if array is not None and np.shape(array) != shape:
+                raise UserError(f"{self.title}: {name} has the shape {np.shape(array)}, not {shape}")
+            if array is not None and not np.isfinite(array).all():
+                raise UserError(f"{self.title}: {name} has numbers that are not finite")
+        if images.dtype != np.uint8 or images.ndim < 3:
+            raise UserError(f"{self.title}: images are {images.dtype} {images.shape}, not uint8 (n, H, W) or RGB")
+        if not np.any(self.orientation_wxyz, axis=1).all():
+            raise UserError(f"{self.title}: orientation_wxyz has an attitude of length 0")
 
     @classmethod
     def of(
@@ -204,7 +227,7 @@ def film_of(flight: Flight) -> Film:
         seen = min(int(np.searchsorted(flight.image_ns, window.time_ns)), len(on) - 1)
         for counts, more in zip((on, off), window.per_pixel(shape), strict=True):
             counts[seen] += more.astype(np.uint16)
-    at = np.searchsorted(flight.time_ns, flight.image_ns)
+    at = np.searchsorted(flight.time_ns[:-1], flight.image_ns)  # the last sample's, where an image comes after it
     position_m, lane = flight.position_m[at], flight.lane
     return Film(
         flight.title,

@@ -12,7 +12,7 @@ from contextlib import ExitStack, contextmanager
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import cache
-from itertools import product
+from itertools import islice, product
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, NotRequired
 
 import numpy as np
@@ -367,7 +367,7 @@ class PolicyGrid(SuiteOfRuns[Any, Point]):
         return self.runs(config, next(self.points(config)))[0]
 
     def cases(self, config: Any) -> Iterator[Point]:
-        typical_s = self.size(config, next(self.points(config)))[1]
+        typical_s = sum(self.size(config, point)[1] for point in islice(self.points(config), 1))
         return (replace(point, typical_s=typical_s) for point in self.points(config))
 
     def provenance(self, config: Any) -> Mapping[str, object]:

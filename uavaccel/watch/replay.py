@@ -57,9 +57,9 @@ class Track:
     def pose(self, time_s: float) -> Floats:
         """Place and attitude (7,) in MuJoCo's frame at a simulated time, between samples on the straight line."""
         place = [np.interp(time_s, self.time_s, column) for column in self.flight.position_m.T]
-        after = int(np.clip(np.searchsorted(self.time_s, time_s), 1, len(self.time_s) - 1))
-        earlier, later = self.flight.orientation_wxyz[after - 1 : after + 1]
-        share = np.clip((time_s - self.time_s[after - 1]) / (self.time_s[after] - self.time_s[after - 1]), 0.0, 1.0)
+        after = int(np.searchsorted(self.time_s[:-1], time_s))
+        earlier, later = self.flight.orientation_wxyz[[max(after - 1, 0), after]]
+        share = np.interp(time_s, self.time_s[[max(after - 1, 0), after]], (0.0, 1.0))
         # q and -q are one attitude: the nearer of them
         turned = (1.0 - share) * earlier + share * (later if earlier @ later >= 0.0 else -later)
         return np.append(ned_to_mujoco(place), quaternion_ned_to_mujoco(turned / np.linalg.norm(turned)))
