@@ -162,7 +162,7 @@ def test_frames_turn_down_into_up_and_the_view_forward() -> None:
 
 def test_events_are_columns_of_pixels_microseconds_and_signs() -> None:
     rows = np.array([[0.2499996, 300, 2, 1], [0.125, 4, 100, -1]])  # rounded to whole microseconds
-    message: Any = event_columns(rows)
+    message: Any = event_columns(rows, (144, 256))
     assert {name: message[name] for name in ("width", "height", "count")} == {"width": 256, "height": 144, "count": 2}
     columns = {name: values.tolist() for name, values in columns_of(message).items()}
     assert columns == {"t": [125_000, 250_000], "x": [4, 300], "y": [100, 2], "p": [0, 1]}
@@ -170,9 +170,9 @@ def test_events_are_columns_of_pixels_microseconds_and_signs() -> None:
 
 def test_a_game_is_told_in_order_and_in_its_own_colours() -> None:
     """Two poses; a picture at the second, and a command after one of no velocity; events, a collision at the end."""
-    picture = np.zeros((1, 144, 256, 3), np.uint8)
+    picture = np.zeros((1, 12, 24, 3), np.uint8)  # a camera of its own
     picture[..., 0], picture[..., 1] = 200, 50  # more red than green
-    on = np.zeros((144, 256), np.int32)
+    on = np.zeros((12, 24), np.int32)
     on[3, 7] = 9
     poses = np.array([[0.0, 0.0, -9.0], [1.0, 2.0, -8.0]]), np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0]])
     commands = Commands(np.array([0, 50]), np.array([50, 60]), np.array([[np.nan] * 3, [3.0, 4.0, 0.0]]))

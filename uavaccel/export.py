@@ -201,11 +201,12 @@ def _poses(game: Flight) -> Iterator[Entry]:
 
 
 def _events(game: Flight) -> Iterator[Entry]:
+    shape = game.images.shape[1:3] if len(game.images) else (HEIGHT, WIDTH)
     for window in game.windows:
         at = window.time_ns
         if window.rows is not None:
-            yield Entry(at, "/dvs/events", _stamped(at, frame_id="front_center", **event_columns(window.rows)))
-        counts = window.per_pixel((HEIGHT, WIDTH))
+            yield Entry(at, "/dvs/events", _stamped(at, frame_id="front_center", **event_columns(window.rows, shape)))
+        counts = window.per_pixel(shape)
         yield Entry(at, "/dvs/image", _image(at, dvs_picture(*counts)[..., ::-1]))
 
 
@@ -231,14 +232,17 @@ def _image(time_ns: int, picture: NDArray[np.uint8]) -> Json:
     return _stamped(time_ns, frame_id="front_center", data=b64encode(png(picture)).decode(), format="png")
 
 
-def event_columns(rows: NDArray[np.floating]) -> Json:
-    """Return events, rows (n, 4) of t in s, x, y, p = 1 or -1, by column; those of one microsecond keep their order."""
+def event_columns(rows: NDArray[np.floating], shape: tuple[int, int]) -> Json:
+    """Return events of a camera (H, W), rows (n, 4) of t in s, x, y, p = 1 or -1, by column.
+
+    Those of one microsecond keep their order.
+    """
     t_us = np.rint(rows[:, 0].astype(np.float64) * 1e6).astype("<u4")
     order = np.argsort(t_us, kind="stable")
     x, y = rows[order, 1:3].astype("<u2").T
     packed = {"t": t_us[order], "x": x, "y": y, "p": (rows[order, 3] > 0).astype(np.uint8)}
     columns = {name: b64encode(values.tobytes()).decode() for name, values in packed.items()}
-    return {"height": HEIGHT, "width": WIDTH, "count": len(rows), **columns}
+    return {"height": shape[0], "width": shape[1], "count": len(rows), **columns}
 
 
 LAYOUT = "0.5.4"
