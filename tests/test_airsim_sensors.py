@@ -14,7 +14,7 @@ from tests.scenes import Pose
 from uavaccel.kinematics import Kinematics
 from uavaccel.sim.earth import GeoPoint, atmosphere, geodetic, local, magnetic_field_gauss
 from uavaccel.sim.poses import Pose as ScenePose
-from uavaccel.sim.profile import AIRSIM
+from uavaccel.sim.profile import AIRSIM, NATIVE
 from uavaccel.sim.sensors import (
     Drift,
     Gps,
@@ -87,22 +87,31 @@ def test_a_vehicles_sensors_stand_beside_the_defaults_of_other_kinds() -> None:
         wire.call("getGpsData", "", "")
 
 
-@pytest.mark.parametrize("kind", ["Imu", "Barometer", "Magnetometer", "DistanceSensor"])
-def test_noise_depends_on_tick_and_seed_alone(kind: str) -> None:
-    method, sensors = f"get{kind}Data", {str(number): {"SensorType": number} for number in (1, 2, 4, 5)}
+@pytest.mark.parametrize(("kind", "number", "silent"), [
+    ("Imu", 2, ("GyroBiasStability", "AccelBiasStability")),
+    ("Imu", 2, ("AngularRandomWalk", "VelocityRandomWalk")),
+    ("Barometer", 1, ("PressureFactorSigma",)),
+    ("Barometer", 1, ("UncorrelatedNoiseSigma",)),
+    ("Magnetometer", 4, ()),
+    ("DistanceSensor", 5, ()),
+])  # fmt: skip
+def test_noise_depends_on_tick_seed_vehicle_and_sensor_alone(kind: str, number: int, silent: tuple[str, ...]) -> None:
+    method, sensor = f"get{kind}Data", {"SensorType": number, **dict.fromkeys(silent, 0.0)}
+    two = {"DefaultSensors": {"a": sensor, "b": sensor}, "Vehicles": {"A": {}, "B": {"Y": 20}}}
 
     def after_a_second(seed: int = 0, asking_before: bool = False) -> AirSimWire:
-        wire = AirSimWire({"SensorSeed": seed, "DefaultSensors": sensors})
+        wire = AirSimWire({"SensorSeed": seed, **two}, World("blocks", NATIVE))
         for _ in range(10):
             wire.fly(0.1)
             if asking_before:
                 wire.call(method, "", "")
         return wire
 
-    told = after_a_second().call(method, "", "")
+    later = after_a_second()
+    told, *others = (later.call(method, name, vehicle) for vehicle in "AB" for name in "ab")
+    assert len({str(each) for each in (told, *others)}) == 4
     assert after_a_second(asking_before=True).call(method, "", "") == told
     assert after_a_second(seed=1).call(method, "", "") != told
-    later = after_a_second()
     later.fly(0.002)
     assert later.call(method, "", "") != told
 

@@ -222,8 +222,11 @@ def test_a_learner_goes_on_from_a_checkpoint_to_the_same_weights(seen: dict[str,
     )
     games += learn(learner, 8)
     assert [game.number for game in games] == list(range(8))
-    assert all(game.info["phase_s"]["inference"] > 0 for game in games)
-    assert max(game.info["phase_s"]["learning"] for game in games) > 0
+    spent_s = [[game.info["phase_s"][phase] for game in games] for phase in ("inference", "learning")]
+    np.testing.assert_allclose(spent_s[0], np.array([5, 5, *[6] * 6]) * config.inference_s)
+    np.testing.assert_allclose(
+        spent_s[1], np.array([1, 1, *[6] * 6]) * config.learning_s / 2
+    )  # from the fifth round on
     assert weights_sha256(learner.policy) != first
 
     other = learner_of(config.model_copy(update={"seed": 1}))

@@ -422,8 +422,14 @@ def selects(s: Script) -> None:
                 if thread is not None:
                     s.say(receiver.recv(9))
                     thread.join()
-    with subprocess.Popen(["sh", "-c", "sleep 0.1; echo pong"], stdout=subprocess.PIPE) as other:
-        s.say([*map(len, s.select.select([other.stdout], [], [], LATER_S))])
+    for number in range(3):
+        poll, selector = s.select.poll(), s.selectors.DefaultSelector()
+        with subprocess.Popen(["sh", "-c", "sleep 0.1; echo pong"], stdout=subprocess.PIPE) as other:
+            poll.register(other.stdout, select.POLLIN)
+            selector.register(other.stdout, selectors.EVENT_READ)
+            within = partial(s.select.select, [other.stdout], [], [])
+            wait, timeout = [(within, LATER_S), (poll.poll, LATER_S * 1e3), (selector.select, LATER_S)][number]
+            s.say([*map(len, wait(timeout))])
     read, write = os.pipe()
 
     def answer() -> None:

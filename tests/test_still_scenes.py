@@ -91,13 +91,20 @@ def kinematic(model: mujoco.MjModel) -> mujoco.MjData:
 @pytest.mark.parametrize("kind", [*KINDS, "all"])
 def test_rays_meet_what_mujocos_rays_meet(kind: str) -> None:
     """Within 1e-4 m and 1e-5 of the distance; but for silhouettes the same object, and its normal."""
-    model = mujoco.MjModel.from_xml_string(clutter(3, KINDS if kind == "all" else [kind, "sphere"]))
+    kinds = KINDS if kind == "all" else (kind, "sphere")
+    model = mujoco.MjModel.from_xml_string(clutter(3, kinds))
     scene, data, random = read_scene(model, seen=True), kinematic(model), np.random.default_rng(5)
     others = 0
-    for number in range(8):
+    for number in range(12):
         heights = (-7.0, -4.0) if kind == "hfield" and number % 2 else (1.5, 7.0)  # it is seen from below, too
         origin = np.array([*random.uniform(-12, 12, 2), random.uniform(*heights)], np.float32)
         rays = random.normal(size=(1000, 3)) * (1.0, 1.0, 0.5)
+        if number >= 8:  # from within, of hills upwards: MuJoCo's have a floor inside
+            which = number % len(kinds)
+            origin = data.geom(f"{kinds[which]}_{which}").xpos + 0.1 * random.normal(size=3)
+            if kinds[which] == "hfield":
+                origin[2], rays[:, 2] = origin[2] + 0.3, np.abs(rays[:, 2]) + 0.3
+            origin = origin.astype(np.float32)
         rays = (rays / np.linalg.norm(rays, axis=1, keepdims=True)).astype(np.float32)
         distances, items = np.zeros(1000, np.float32), np.zeros(1000, np.int64)
         normals, expected_normals = np.zeros((1000, 3), np.float32), np.zeros((1000, 3))

@@ -161,7 +161,6 @@ class Sb3File(PolicyFile):
         except Exception as error:  # a file from elsewhere may have anything in it
             said = str(error).partition("\n")[0].rstrip(":")
             raise UserError(f"{self.name}: its policy cannot be made for this task: {said}") from error
-        policy.eval()
         return lambda seen: np.asarray(policy.predict(seen, deterministic=True)[0])
 
     def _entry(self, key: str) -> Mapping[str, Plain]:

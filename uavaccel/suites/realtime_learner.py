@@ -109,7 +109,6 @@ def trained_policy(env: Env, agent: AgentBlock, weights: Mapping[str, NDArray[An
     kind, space = PPO.policy_aliases["MlpPolicy"], env.observation_space
     policy = kind(space, env.action_space, lambda _: 0.0, net_arch=list(agent.hidden))
     policy.load_state_dict({name: th.as_tensor(weights[name]) for name in policy.state_dict()})
-    policy.eval()
     mean, scale = weights["observation.mean"], np.sqrt(weights["observation.var"] + EPSILON)
 
     def act(observation: NDArray[Any]) -> Any:
