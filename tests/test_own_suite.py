@@ -367,4 +367,6 @@ def test_a_page_is_a_text_or_yields_several(page: str, told: str, here: Path) ->
     (here / "wrong_suites.py").write_text(f"{WRONG}    {line}\n")
     (here / "own.yaml").write_text("suite: wrong_suites:Wrong\n")
     app(["run", "own.yaml", "--out", "run"], standalone_mode=False)
-    assert f"\n{told}\n\n## Provenance" in (here / "run/report.md").read_text()
+    report, *kept = ((here / "run" / name).read_text() for name in ("report.md", "config.yaml", "manifest.json"))
+    assert f"\n{told}\n\n## Provenance" in report
+    assert all(text in report for text in kept)
