@@ -421,17 +421,18 @@ NAVIGATE: dict[str, Any] = {"env_id": "uavaccel/Navigate-v0", "algorithm": "ppo"
     ids=["dvs", "depth", "colour", "state", "actions"],
 )
 def test_a_policy_that_was_exported_flies_as_the_policy_does(
-    task: dict[str, Any], beside: list[str], keys: dict[str, Any]
+    task: dict[str, Any], beside: list[str], keys: dict[str, Any], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Its file takes whole pictures and reduces them itself; it says what it flies."""
+    """Its file takes whole pictures and reduces them itself; it says what it flies, and the command what it takes."""
     Path("policy").mkdir()
     config = tiny_config(task, **keys)
     export_policy(Path("policy"), make_policy(config), config, {})
     policy = load_policy(Path("policy"))
-    about, written = write_onnx(policy, Path("model.onnx")), OnnxFile("model.onnx")
-    assert about == written.metadata
+    app(["export", "policy", "--onnx", "model.onnx"], standalone_mode=False)
+    said, written = capsys.readouterr().out, OnnxFile("model.onnx")
     names = [[each.name for each in part()] for part in (written._session.get_inputs, written._session.get_outputs)]
     assert names == [["seen", *beside], ["action"] if keys is NAVIGATE else ["ratings", "action"]]
+    assert all(f"{name}: {written.metadata[name]}" in said for name in names[0])
     evaluation, usual = (configured("evaluate", agent=agent) for agent in ("model.onnx", "policy"))
     assert evaluation.task == usual.task
     random = np.random.default_rng(0)

@@ -155,6 +155,7 @@ FILES = [
     *("suite: ':Suite'", "suite: 'json:'", "suite: '..json:loads'", "suite: 'json:loads'"),
     *("suite: 'uavaccel.suites.suite:Suite'", "suite: 'uavaccel.units:.x'", "suite: dp1\n\tgames: 2"),
     *(f"suite: dp1\n{line}" for line in ("seed: !!timestamp 2020-01-01", "path: !!set {a, b}", "games: !!binary aGk=")),
+    *(f"suite: dp1\npath: !!{kind} [a: 1]" for kind in ("omap", "pairs")),
     "suite: dp1\n---\nsuite: dp2",
 ]
 

@@ -168,14 +168,15 @@ def test_as_many_commands_and_images_are_timed_as_were_asked_for(monkeypatch: py
     image = SimpleNamespace(image=lambda kind: batches.append(f"first {kind}"))
     lane = nullcontext(SimpleNamespace(start_game=lambda *_, lane: image))
     asking: Any = SimpleNamespace(call=batches.append, image=batches.append)
-    monkeypatch.setattr(calibrate, "WallSession", lambda *at: VirtualSession(*at) if at[0] == "blocks" else lane)
+    made = {("blocks", "airsim"): partial(VirtualSession, "blocks", "airsim"), ("lane", "airsim"): lambda: lane}
+    monkeypatch.setattr(calibrate, "WallSession", lambda *at: made[at]())
     timed = lambda _, __, send: batches.append(send.args[0]) if isinstance(send, partial) else send(asking)  # noqa: E731
     monkeypatch.setattr(calibrate, "time_batch", timed)
-    calibrate.measure("native", 3 * 8 * calibrate.BATCH, images=False)
+    calibrate.measure("airsim", 3 * 8 * calibrate.BATCH, images=False)
     assert Counter(batches) == {"ping": 48, COMMANDS["adsc"]: 24, COMMANDS["tcsc"]: 24}
     for images, count in ((1, 1), (47, 1), (72, 3)):
         batches.clear()
-        calibrate.measure("native", images, images=True)
+        calibrate.measure("airsim", images, images=True)
         assert batches[16 * 2 :] == ["first gray", *["gray"] * count]
 
 

@@ -313,7 +313,7 @@ def test_another_evaluation_does_not_go_on_in_its_folder() -> None:
     with pytest.raises(UserError, match=r"^other: no evaluation of a policy, but not empty; take another folder$"):
         certify(Count, same, out="other", resume=True)
     rows = Path("out/rows.jsonl").read_text().splitlines()
-    named = ([row.replace(f'"{name}"', '"other"') for row in rows] for name in ("thinking_s", "success"))
+    named = ([row.replace(f'"{name}"', '"other"') for row in rows] for name in ("return", "thinking_s", "success"))
     for changed in (rows[::-1], *named):
         Path("out/rows.jsonl").write_text("\n".join(changed) + "\n")
         with pytest.raises(UserError, match=r"^out/rows.jsonl: its rows are not those of this evaluation"):

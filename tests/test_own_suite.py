@@ -370,10 +370,19 @@ def test_a_mistake_in_one_is_one_line(line: str, reason: str, here: Path, said: 
     assert reason in said("run own.yaml --out run")
 
 
-@pytest.mark.parametrize(("page", "told"), [("'Alone.'", "Alone."), ("['One.', 'Two.']", "One.\n\nTwo.")])
-def test_a_page_is_a_text_or_yields_several(page: str, told: str, here: Path) -> None:
-    line = f"flown = lambda self, case: GameResult({{}}); page = lambda *_: {page}"
+@pytest.mark.parametrize(
+    ("page", "told"),
+    [
+        ("'Alone.'", "Alone."),
+        ("['One.', 'Two.']", "One.\n\nTwo."),
+        ("Suite.page(*_)", "| case |\n| --- |\n| a |\n| b |"),
+    ],
+)
+def test_a_page_is_a_text_several_blocks_or_a_table_of_the_rows(page: str, told: str, here: Path) -> None:
+    line = f"flown = lambda self, case: GameResult({{}}, {{'a': [1]}}); page = lambda *_: {page}"
     (here / "wrong_suites.py").write_text(f"{WRONG}    {line}\n")
     (here / "own.yaml").write_text("suite: wrong_suites:Wrong\n")
     app(["run", "own.yaml", "--out", "run"], standalone_mode=False)
-    assert f"\n{told}\n\n## Provenance" in (here / "run/report.md").read_text()
+    report, *kept = ((here / "run" / name).read_text() for name in ("report.md", "config.yaml", "manifest.json"))
+    assert f"\n{told}\n\n## Provenance" in report
+    assert all(text in report for text in kept)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from itertools import combinations
 from types import SimpleNamespace
 from typing import Any
 
@@ -248,6 +249,10 @@ def test_hundreds_of_sets_of_options_fly_what_a_second_simulation_does_or_are_re
         (RealTime(Ticking(), 0.0, period_s=0.02), "RealTime is in real time already"),
         (Physical(0, 0.01), "Physical.frame_skip: must be 1 to 1,000,000,000 physics steps, not 0"),
         (Physical(5, float("nan")), r"Physical.model.opt.timestep: must be a number of seconds, .* not nan"),
+        *(  # with a part of what MuJoCo's have
+            (type("Partly", (Ticking,), dict.fromkeys(pair))(), "period_s: Partly does not say how long a step is")
+            for pair in combinations(["frame_skip", "model", "do_simulation"], 2)
+        ),
     ],
 )
 def test_an_environment_without_a_time_of_its_own_is_refused(env: Any, said: str) -> None:

@@ -98,8 +98,10 @@ def evaluate(
     ] = None,
 ) -> None:
     """Fly a policy in games it has not seen: success ratio, films."""
+    from uavaccel.suites.registry import is_yaml
+
     experiment = None if agent is None and request.resume else "evaluate"
-    if agent is not None and agent.endswith((".yaml", ".yml")):
+    if agent is not None and is_yaml(agent):
         if sweep:
             raise UsageError(f"--sweep: takes an agent, not {agent}: a sweep's own YAML file says `suite: sweep`")
         experiment, agent = agent, None

@@ -201,13 +201,13 @@ def export(
         if onnx is not None:
             require("torch", "--onnx", "onnx", "PyTorch")
             from uavaccel.rl.agents import policy_folder
-            from uavaccel.rl.onnx_file import write_onnx
+            from uavaccel.rl.onnx_file import input_names, write_onnx
             from uavaccel.rl.policy import load_policy
 
-            about = write_onnx(load_policy(policy_folder(source)), onnx)
+            about = write_onnx(policy := load_policy(policy_folder(source)), onnx)
             headings = about.get("headings_deg")
             actions = f"headings of {headings} degrees" if headings else f"shares of {json.loads(about['action'])}"
-            seen = "; ".join(f"{name}: {about[name]}" for name in ("seen", "state") if name in about)
+            seen = "; ".join(f"{name}: {about[name]}" for name in input_names(policy.config.task))
             console.print(f"{onnx}: {seen}; actions: {actions}")
         written: list[Iterable[Path]] = []
         if csv is not None or parquet is not None:

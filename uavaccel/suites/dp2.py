@@ -40,7 +40,7 @@ from uavaccel.sim.camera.view import HEIGHT, WIDTH
 from uavaccel.sim.lane import Lane
 from uavaccel.sim.profile import PROFILES
 from uavaccel.suites import plots
-from uavaccel.suites.experiment import FlightExperiment, Timing, named_seed, subset
+from uavaccel.suites.experiment import Disturbances, FlightExperiment, Timing, named_seed, subset
 from uavaccel.suites.flight import Commands, Flight, Window, windows_of
 from uavaccel.suites.lane_path import plan_path
 from uavaccel.suites.path_suite import FlightCase, FlightRow, PathSuite, flight_row, fly_path, reference_of
@@ -290,9 +290,9 @@ class Dp2(PathSuite[Dp2Config, Game]):
         """
         config, games, cells = report.config, finished(report.games).set_index("case"), list[dict[str, Any]]()
         kept = ["command", "clock_speed", "t_move_s", "timing", "guard_retries", "collision", "distance_m"]
-        kept += ["wall_s", "real_time_factor", "lost_wall_s"]
+        kept += ["wall_s", "real_time_factor"]
         for game in report.scores.to_dict("records"):
-            marks = [key for key in ("disturbed", "stalled_wall_s", "restarts") if not unknown(game.get(key))]
+            marks = [key for key in Disturbances.__annotations__ if not unknown(game.get(key))]
             cell = {**subset(game, *kept, *marks), "provenance": timing_provenance(game["timing"]), "reference": None}
             if (case := game["reference"]) is not None:
                 cell["reference"] = reference_of(games.loc[case], case == game["case"], case=case)

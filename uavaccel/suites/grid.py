@@ -331,7 +331,8 @@ class PolicyRow(GameRow):
     sim_time_s: NotNegative
 
 
-KEPT = ("games", "successes", "distance_m_median", "return_mean", "sim_time_s", "timing")
+MEASURES = ("distance_m_median", "return_mean")
+KEPT = ("games", "successes", *MEASURES, "sim_time_s", "timing")
 
 
 @dataclass(frozen=True)
@@ -498,7 +499,7 @@ class Sweep(PolicyGrid):
             if row is not None:
                 tested = usual is not None and row is not usual
                 p = mcnemar_exact(won[AS_TRAINED], won[row["case"]]).p_value if tested else None
-                found = {name: row[name] for name in ("distance_m_median", "return_mean") if name in row}
+                found = {name: row[name] for name in MEASURES if name in row}
                 cells.append({**point.labels, **Proportion.of(row).as_summary(), **found, "mcnemar_p": p})
         return {
             "suite": self.name,
@@ -646,7 +647,7 @@ class Robustness(PolicyGrid):
         `above` is the largest latency up to which its success does not fall below half of that in real time at the
         fitted latency, `below` the next that was flown; None where there is none, or no cell in real time.
         """
-        measures = [name for name in ("distance_m_median", "return_mean") if name in report.games]
+        measures = [name for name in MEASURES if name in report.games]
         kept = ["command", "clock_speed", "latency_scale", *measures]
         won = [Proportion.of(row).as_summary() for row in report.rows]
         cells = [own | ratio for own, ratio in zip(report.games[kept].to_dict("records"), won, strict=True)]

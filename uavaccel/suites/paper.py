@@ -204,8 +204,7 @@ def flown(run: RunDirectory, name: str, report: Report | None = None) -> claims.
     if kept.get("of") != of:
         report = report or suite_of(part).report(part)
         games = records(report.scores.reindex(columns=claims.SCORES[kind]))
-        summary = {key: report.summary.get(key) for key in ("seed", "cells", "guard_study")}
-        run.write_json(file, kept := {"of": of, "games": games, "summary": summary})
+        run.write_json(file, kept := {"of": of, "games": games, "summary": report.summary})
     return claims.Flown(table_of(kept["games"]), kept["summary"])
 
 

@@ -98,7 +98,12 @@ def experiments_in(config: Config) -> dict[str, Plain]:
 
 def is_file(name: str) -> bool:
     """Return whether an experiment is named by its YAML file, or by that of its task."""
-    return Path(name).suffix in (".yaml", ".yml") or is_task(name)
+    return is_yaml(name) or is_task(name)
+
+
+def is_yaml(name: str) -> bool:
+    """Return whether an experiment is named by its YAML file."""
+    return Path(name).suffix in (".yaml", ".yml")
 
 
 def is_task(name: str) -> bool:
