@@ -229,6 +229,16 @@ def test_processes_are_forks_of_one_that_loads_for_all() -> None:
         batch.step([2, 2])
 
 
+def test_a_closed_batch_of_kernels_says_so() -> None:
+    batch = uavaccel.make_vec("hover", 2, simulator="kernels")
+    batch.reset(seed=0)
+    batch.close()
+    with pytest.raises(BatchError, match="this batch is closed"):
+        batch.step(batch.action_space.sample())
+    with pytest.raises(BatchError, match="this batch is closed"):
+        batch.reset(seed=0)
+
+
 @pytest.mark.wall_clock
 @pytest.mark.skipif(sys.platform != "linux", reason="elsewhere each process loads for itself")
 @pytest.mark.parametrize("gone", [False, True])

@@ -20,6 +20,7 @@ from uavaccel.config import MOST_PROCESSES
 from uavaccel.envs.arrays import assign, each_of, mapped, named_leaves, select
 from uavaccel.envs.batch import Arguments, GameOptions, Seeds, Slots, TurnBatch, set_up
 from uavaccel.envs.checks import actions_of, whole_number
+from uavaccel.envs.environment_process import BatchError
 from uavaccel.envs.flight_env import FlightEnv
 from uavaccel.envs.judging import Flown, Judge, Running
 from uavaccel.envs.kernel_games import Drawn, GameMaker, keys_of, plan_of, since_ns_of
@@ -106,7 +107,9 @@ class KernelBatch(TurnBatch):
     # --- learners ---------------------------------------------------------------------------------
 
     def reset_each(self, seeds: Seeds, options: GameOptions, slots: Slots = None) -> list[Info]:
-        """As `TurnBatch` has it. Raises UserError where the first reset is not of all environments."""
+        """As `TurnBatch` has it. Raises UserError where the first reset is not of all; BatchError once closed."""
+        if self.closed:
+            raise BatchError("this batch is closed")
         which = range(self.num_envs) if slots is None else slots
         if len(which) < self.num_envs and not self._drawn:
             raise UserError("reset: option reset_mask: reset all environments first")
@@ -127,7 +130,9 @@ class KernelBatch(TurnBatch):
         return games
 
     def step_async(self, actions: Actions, slots: Slots = None) -> None:
-        """As `TurnBatch` has it. Raises UserError before the first reset."""
+        """As `TurnBatch` has it. Raises UserError before the first reset; BatchError once closed."""
+        if self.closed:
+            raise BatchError("this batch is closed")
         if not self._drawn:
             raise UserError("reset the environments before their first step")
         which = np.arange(self.num_envs) if slots is None else np.asarray(slots)
