@@ -168,7 +168,7 @@ def test_as_many_commands_and_images_are_timed_as_were_asked_for(monkeypatch: py
     image = SimpleNamespace(image=lambda kind: batches.append(f"first {kind}"))
     lane = nullcontext(SimpleNamespace(start_game=lambda *_, lane: image))
     asking: Any = SimpleNamespace(call=batches.append, image=batches.append)
-    made = {("blocks", "airsim"): partial(VirtualSession, "blocks", "airsim"), ("lane", "airsim"): lambda: lane}
+    made: Any = {("blocks", "airsim"): partial(VirtualSession, "blocks", "airsim"), ("lane", "airsim"): lambda: lane}
     monkeypatch.setattr(calibrate, "WallSession", lambda *at: made[at]())
     timed = lambda _, __, send: batches.append(send.args[0]) if isinstance(send, partial) else send(asking)  # noqa: E731
     monkeypatch.setattr(calibrate, "time_batch", timed)
