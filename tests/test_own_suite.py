@@ -313,7 +313,7 @@ class Config(Experiment):
 class Own(Suite):
     name, config, names = "own", Config, ("a", "b")
     def cases(self, config):
-        return (SimpleCase(name, "lockstep", 1.0) for name in self.names)
+        return (SimpleCase(name, "lockstep", 0.0) for name in self.names)
     def open(self, config, timing, run):
         return nullcontext()
     def fly(self, config, case, opened):

@@ -270,7 +270,10 @@ def test_a_writer_that_fails_leaves_the_old_file(run: RunDirectory) -> None:
 
 @pytest.mark.parametrize(
     ("damage", "said"),
-    [(b"\x00\x00\n", "not JSON"), (b"3\n", "not a JSON object"), (b"{}\n", "no name"), (b'{"case": 3}\n', "no name")],
+    [
+        *((b"\x00\x00\n", "not JSON"), (b"3\n", "not a JSON object"), (b"{}\n", "no name")),
+        *((b'{"case": 3}\n', "no name"), pytest.param(bytes(1 << 24), "16,777,216 bytes each", id="long")),
+    ],
 )
 def test_a_damaged_line_is_named(run: RunDirectory, damage: bytes, said: str) -> None:
     run.append_row({"case": "a"})
