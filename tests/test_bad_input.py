@@ -166,7 +166,7 @@ evaluate straight --jobs 1000; run dp1 --jobs 2 --timing wall; run train --jobs 
 run dp1 --clock fast; run dp1 --clock 0; run dp1 --clock nan; run dp1 --clock inf; run dp1 --rounds 0
 run dp1 --t-move 0; run dp1 --games -1; run dp1 --command tcsc --command fly; run dp1 --seeds 2; run dp1 --with x
 run dp2 --rounds 2; run train --clock 1 --clock 2; run dp1 --set games; run dp1 --set =3; run dp1 --set .games=3
-run dp1 --set games.=3; run dp1 --set games.more=3; run dp1 --set clock_speed.9=3; run dp1 --set games=[
+run dp1 --set games.=3; run dp1 --set games.more=3; run dp1 --set clock_speed.5=3; run dp1 --set games=[
 run dp1 --set games={a:&a,b:*a}; run dp1 --speed 3; run dp1 dp2; run dp1 --out .; run dp1 --out there.txt
 run dp1 --out there.txt/run; run dp1 --resume --out there.txt; watch --host nowhere.invalid; watch --host=
 serve --host=; serve --recordings there.txt; run --resume; run dp1 --resume; train --resume

@@ -168,8 +168,8 @@ def test_as_many_commands_and_images_are_timed_as_were_asked_for(monkeypatch: py
     image = SimpleNamespace(image=lambda kind: batches.append(f"first {kind}"))
     lane = nullcontext(SimpleNamespace(start_game=lambda *_, lane: image))
     asking: Any = SimpleNamespace(call=batches.append, image=batches.append)
-    made: Any = {("blocks", "airsim"): partial(VirtualSession, "blocks", "airsim"), ("lane", "airsim"): lambda: lane}
-    monkeypatch.setattr(calibrate, "WallSession", lambda *at: made[at]())
+    made: Any = {"blocks": partial(VirtualSession, "blocks", "airsim"), "lane": lambda: lane}
+    monkeypatch.setattr(calibrate, "WallSession", lambda scene, profile: {"airsim": made[scene]}[profile]())
     timed = lambda _, __, send: batches.append(send.args[0]) if isinstance(send, partial) else send(asking)  # noqa: E731
     monkeypatch.setattr(calibrate, "time_batch", timed)
     calibrate.measure("airsim", 3 * 8 * calibrate.BATCH, images=False)
