@@ -152,9 +152,15 @@ def test_a_browser_pauses_steps_and_scrubs(tmp_path: Path, browser: Any) -> None
             if SCREENSHOTS in os.environ:
                 page.wait_for_timeout(1000)
                 page.screenshot(path=Path(os.environ[SCREENSHOTS]) / f"watch_{width}.png", timeout=120_000)
-            step, scrub = button.bounding_box(), page.locator(".mantine-Slider-track").bounding_box()
-            assert step is not None
-            assert scrub is not None
+            before_that = None
+            for _ in range(100):  # until it is laid out anew, and stays so
+                step, scrub = button.bounding_box(), page.locator(".mantine-Slider-track").bounding_box()
+                assert step is not None
+                assert scrub is not None
+                if before_that == (step, scrub) and scrub["y"] < step["y"] + step["height"]:
+                    break
+                before_that = step, scrub
+                page.wait_for_timeout(100)
             assert step["y"] < scrub["y"] < step["y"] + step["height"]  # one row
             assert page.evaluate("document.documentElement.scrollWidth") <= width
         playing.click()
