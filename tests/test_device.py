@@ -224,9 +224,7 @@ def test_a_learner_goes_on_from_a_checkpoint_to_the_same_weights(seen: dict[str,
     assert [game.number for game in games] == list(range(8))
     spent_s = [[game.info["phase_s"][phase] for game in games] for phase in ("inference", "learning")]
     np.testing.assert_allclose(spent_s[0], np.array([5, 5, *[6] * 6]) * config.inference_s)
-    np.testing.assert_allclose(
-        spent_s[1], np.array([1, 1, *[6] * 6]) * config.learning_s / 2
-    )  # from the fifth round on
+    np.testing.assert_allclose(spent_s[1], np.array([1, 1, *[6] * 6]) * config.learning_s / 2)  # from round 5 on
     assert weights_sha256(learner.policy) != first
 
     other = learner_of(config.model_copy(update={"seed": 1}))
