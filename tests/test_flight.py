@@ -74,6 +74,9 @@ def test_a_suite_that_keeps_recordings_has_flights_for_free(tmp_path: Path) -> N
         Suite.flight(Dp1(), SimpleNamespace(run=run), row)  # type: ignore[arg-type]
 
 
+SEEN = {"image_ns": np.zeros(1, int), "images": np.zeros((1, 5, 6), np.uint8)}
+
+
 @pytest.mark.parametrize(
     ("more", "reason"),
     [
@@ -82,6 +85,14 @@ def test_a_suite_that_keeps_recordings_has_flights_for_free(tmp_path: Path) -> N
         ({"images": np.zeros((2, 8, 8), np.uint8)}, r"^a: images has the shape \(2, 8, 8\), not \(0, 8, 8\)$"),
         ({"images": np.zeros((0, 8, 8))}, r"^a: images are float64 \(0, 8, 8\), not uint8"),
         ({"orientation_wxyz": np.zeros((5, 4))}, "^a: orientation_wxyz has an attitude of length 0$"),
+        (
+            SEEN | {"windows": [Window(0, np.array([[0.0, 6, 4, 1]]))]},
+            "^a: windows have events outside the images of 6 x 5$",
+        ),
+        (
+            SEEN | {"windows": [Window(0, None, (np.zeros((6, 5)),) * 2)]},
+            r"^a: windows count \(2, 6, 5\) events, not \(2, 5, 6\)",
+        ),
         (
             {"commands": Commands(np.zeros(1, int), np.zeros(2, int), np.zeros((0, 3)))},
             "^a: commands.end_ns has the shape",

@@ -122,6 +122,15 @@ class Flight:
             raise UserError(f"{self.title}: images are {images.dtype} {images.shape}, not uint8 (n, H, W) or RGB")
         if not np.any(self.orientation_wxyz, axis=1).all():
             raise UserError(f"{self.title}: orientation_wxyz has an attitude of length 0")
+        height, width = images.shape[1:3] if images.size else (np.inf, np.inf)
+        for window in self.windows:
+            if window.counts is not None and images.size and np.shape(window.counts) != (2, height, width):
+                raise UserError(
+                    f"{self.title}: windows count {np.shape(window.counts)} events, not {(2, height, width)}"
+                )
+            pixels = np.reshape([] if window.rows is None else window.rows, (-1, 4))[:, 1:3]
+            if not ((pixels >= 0) & (pixels < (width, height))).all():
+                raise UserError(f"{self.title}: windows have events outside the images of {width} x {height}")
 
     @classmethod
     def of(
