@@ -90,7 +90,7 @@ SEEN = {"image_ns": np.zeros(1, int), "images": np.zeros((1, 5, 6), np.uint8)}
             "^a: windows have events outside the images of 6 x 5$",
         ),
         (
-            SEEN | {"windows": [Window(0, None, (np.zeros((6, 5)),) * 2)]},
+            SEEN | {"windows": [Window(0, None, (np.zeros((6, 5), int),) * 2)]},
             r"^a: windows count \(2, 6, 5\) events, not \(2, 5, 6\)",
         ),
         (
