@@ -374,6 +374,11 @@ def test_a_policy_against_itself_does_not_differ() -> None:
 def test_lanes_that_are_not_the_same_are_not_paired() -> None:
     short, long = (Success.on_lanes([np.arange(count) < 40]) for count in (50, 100))
     assert long.ratio(short) == long.ratio(Success(short.policies))
+    one, other = (Success.on_lanes([[first], [1.0]]) for first in (0.0, 1.0))  # a single lane is not told from games
+    assert (one.estimate, one.difference(other)) == (
+        Success(one.policies).estimate,
+        one.difference(Success(other.policies)),
+    )
 
 
 def test_the_parts_of_a_variance_add_up() -> None:

@@ -129,7 +129,7 @@ class Success:
 
     policies: tuple[Proportion, ...]
     won: FloatArray | None = None
-    """1 where a policy won on a lane, else 0 (policies, lanes); None where it is not known, or lanes differ."""
+    """1 where a policy won on a lane, else 0 (policies, lanes); None where unknown, lanes differ or there is one."""
 
     def __post_init__(self) -> None:
         if not self.policies:
@@ -139,7 +139,7 @@ class Success:
     def on_lanes(cls, outcomes: Sequence[ArrayLike] | NDArray[Any]) -> Success:
         """Return that of the outcomes (lanes,) of each policy, all on the same lanes in the same order."""
         won = np.array(outcomes, np.float64)
-        return cls(tuple(Proportion(int(each.sum()), each.size) for each in won), won)
+        return cls(tuple(Proportion(int(each.sum()), each.size) for each in won), won if won.shape[-1] > 1 else None)
 
     @property
     def pooled(self) -> Proportion:
@@ -197,7 +197,7 @@ def covariance(first: FloatArray, second: FloatArray) -> Covariance:
 def correlation(first: Success, second: Success, same_policies: bool) -> float:
     """Return that of two successes on the same lanes, and of the same policies if these flew twice; else 0."""
     x, y = first.won, second.won
-    if x is None or y is None or x.shape[1] != y.shape[1] or x.shape[1] < 2:
+    if x is None or y is None or x.shape[1] != y.shape[1]:
         return 0.0
     scale = np.prod([max(sum(covariance(each, each)), each.var() / each.size) for each in (x, y)])
     if not same_policies:
