@@ -276,6 +276,8 @@ def test_what_is_no_flight_has_no_score(times_s: list[float], points_m: NDArray[
 
 @given(st.lists(flights(), min_size=1, max_size=4), st.lists(flights(), min_size=1, max_size=4))
 def test_the_matrix_is_bit_equal_to_single_pairs(games: list[Trajectory], references: list[Trajectory]) -> None:
+    """Also with other times of as many samples."""
+    references = [*references, Trajectory(games[0].time_s * 2 - games[0].time_s[0], games[0].position_m)]
     matrix = stlc_matrix(games, references)
     single = [[stlc(*game, *reference) for reference in references] for game in games]
     assert np.array_equal(matrix, np.array(single))
