@@ -395,7 +395,8 @@ def test_a_mistake_of_ones_own_environment_is_one_line(
     monkeypatch.setattr(sys, "path", [*sys.path])
     monkeypatch.chdir(tmp_path)
     environment = f"environments={{x: {{id: 'broken_cart:{name}-v0', default_action: 0, train_steps: 8}}}}"
-    for agent in ("{}", "{policies: {x: 'broken_cart.py:act'}}")[: 1 if name == "Frayed" else 2]:  # what learns looks
+    own = "{policies: {x: 'broken_cart.py:act'}}"  # which may be given what it likes
+    for agent in ("{}", own)[: 1 + (name != "Frayed")]:
         with trusting(), pytest.raises(UserError, match=said):
             flown(tmp_path / "run", environment, f"agents={{a: {agent}}}")
         shutil.rmtree(tmp_path / "run")
