@@ -379,6 +379,9 @@ def test_an_episode_that_failed_forbids_a_certificate() -> None:
     assert ": no certificate: 2 of 8 episodes failed; 4 episodes a latency from seed 20; " in certificate.line
     assert certificate.document["holds"]["latency_s"] is None
     assert [cell["errors"] for cell in certificate.document["cells"]] == [2, 0]
+    for resume in (False, True):  # of two episodes the last one, which is played again
+        certify(Count, at_times, [0.0], episodes=2, seed=21, out="last", resume=resume)
+        assert ["error" in json.loads(row) for row in Path("last/rows.jsonl").read_text().splitlines()] == [False, True]
 
 
 # --- measured ---------------------------------------------------------------------------------------------------------

@@ -169,9 +169,10 @@ def test_intervals_and_exact_tests_are_scipys(outcomes: list[tuple[bool, bool]],
 
 @given(st.integers(0, 2**32 - 1), st.integers(1, 200), st.integers(1, 200))
 def test_stlc_in_space_is_that_of_scipys_nearest_neighbours(seed: int, count: int, others: int) -> None:
-    """Of ways that wander, which the search passes over in steps as long as it knows to be safe."""
+    """Of ways that wander, one after a leap, which the search passes over in steps as long as it knows to be safe."""
     random = np.random.default_rng(seed)
     one, two = (np.cumsum(random.normal(size=(length, 3)), axis=0) for length in (count, others))
+    one[0] += 30.0
     nearest = (np.exp(-KDTree(there).query(here)[0]).mean() for here, there in ((one, two), (two, one)))
     found = stlc(np.arange(count), one, np.arange(others), two, lam=1.0)
     assert found == pytest.approx(sum(nearest), abs=1e-12)
