@@ -1,6 +1,7 @@
 """ADSC and TCSC fly through the names and meanings of AirSim's own client."""
 
 import math
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -115,6 +116,7 @@ def test_every_field_and_unit_of_airsims() -> None:
     level = {"is_rate": False, "yaw_or_rate": math.degrees(0.5)}
     assert adapter.move_async(NORTH_AT_HEIGHT, 2.0) == "moveByVelocityZAsync's future"
     adapter.move_async(EAST, 3.0)
+    adapter.move_async(replace(EAST, height_m=0.0), 3.0)
     adapter.pause()
     adapter.run()
     assert fake.calls == [
@@ -122,7 +124,10 @@ def test_every_field_and_unit_of_airsims() -> None:
         ("simContinueForTime", 0.5),  # wall seconds
         ("getMultirotorState", "Drone1"),
         ("moveByVelocityZAsync", 1.0, 0.0, -10.5, 2.0, 0, level, "Drone1"),
-        ("moveByVelocityAsync", 0.0, 1.0, 0.0, 3.0, 0, {"is_rate": True, "yaw_or_rate": 0.0}, "Drone1"),
+        *(
+            (f"moveByVelocity{z}Async", 0.0, 1.0, 0.0, 3.0, 0, {"is_rate": True, "yaw_or_rate": 0.0}, "Drone1")
+            for z in ("", "Z")
+        ),
         ("simPause", True),
         ("simPause", False),
     ]

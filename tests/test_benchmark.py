@@ -28,6 +28,7 @@ SHORT = (
     "environments.pendulum.train_steps=512",
     "flights.hover.trainings.naive.keys.games=16",
     "flights.hover.trainings.delayed.keys.games=16",
+    "agents.delayed.latency_factor=2",
 )
 
 
@@ -114,6 +115,7 @@ def test_scores_and_hashes_are_in_the_results(smoke: RunDirectory) -> None:
     won = rows["hover-naive-s0-adsc-50ms-1x"]["returns"]
     assert (len(won), set(won) - {0.0, 1.0}) == (4, set())
     assert hover.score_mean == hover.return_mean == sum(won) / 4
+    assert rows["hover-delayed-s0-adsc-50ms-5x"]["delays_s"] == [0.5] * 4, "it thinks twice as long"
     ahead = table.loc["pendulum", "look_ahead", 0.05, 5].policies
     assert ahead == pendulum.policies == rows["pendulum-naive-s0"]["agent_sha256"][:12]
 

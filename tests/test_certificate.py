@@ -20,11 +20,11 @@ import pytest
 import torch as th
 from gymnasium import spaces
 from gymnasium.envs.registration import EnvSpec
-from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from tests.conftest import forget_own_code
+from tests.golden import assert_as_recorded, figures_text, plain
 from tests.opengl import needs_opengl
 from tests.test_policy_server import process
 from uavaccel.cli.main import app
@@ -155,22 +155,24 @@ def test_delays_in_control_periods_are_those_in_seconds() -> None:
     assert steps.table()[0][0] == "steps"
 
 
-def test_the_score_against_latency_is_drawn(monkeypatch: pytest.MonkeyPatch) -> None:
-    certificate, drawn = certify(Count, same, DELAYS, episodes=2), list[Figure]()
-    save = Figure.savefig
+def test_what_people_read_of_one_is_as_recorded(monkeypatch: pytest.MonkeyPatch) -> None:
+    """By default, and of an environment that tells no success."""
+    drawn: dict[str, Figure] = {}
+    save, lines = Figure.savefig, list[str]()
 
     def saved(figure: Figure, *to: Any, **how: Any) -> None:
-        drawn.append(figure)
+        drawn[f"figure {len(drawn)}"] = figure
         save(figure, *to, **how)
 
     monkeypatch.setattr(Figure, "savefig", saved)
-    assert certificate.figure("figure.png").read_bytes().startswith(b"\x89PNG")
-    (bars,) = [each for each in drawn[0].axes[0].collections if isinstance(each, LineCollection)]
-    cells = [(1e3 * cell["latency_s"], cell["low"], cell["high"]) for cell in certificate.document["cells"]]
-    np.testing.assert_allclose(bars.get_segments(), [[(at, low), (at, high)] for at, low, high in cells])
-    header, lines = certificate.table()
-    assert header == ["seconds", "median ms", "success", "95 %", "failed"]
-    assert lines[1] == ["0.01", "10", "100.0%", "34.2% to 100.0%", "0"]
+    for certificate in (certify(Count, same), certify(partial(Count, tells=False), same, DELAYS)):
+        assert certificate.figure("figure.png").read_bytes().startswith(b"\x89PNG")
+        document, (header, table) = certificate.document, certificate.table()
+        lines += [
+            certificate.line.partition("; policy")[0],
+            *map(plain, [header, *table, *document["cells"], document["holds"]]),
+        ]
+    assert_as_recorded("certificate", "\n".join([*lines, *figures_text(drawn)]) + "\n")
 
 
 # --- the same bytes ---------------------------------------------------------------------------------------------------
@@ -377,6 +379,9 @@ def test_an_episode_that_failed_forbids_a_certificate() -> None:
     assert ": no certificate: 2 of 8 episodes failed; 4 episodes a latency from seed 20; " in certificate.line
     assert certificate.document["holds"]["latency_s"] is None
     assert [cell["errors"] for cell in certificate.document["cells"]] == [2, 0]
+    for resume in (False, True):  # of two episodes the last one, which is played again
+        certify(Count, at_times, [0.0], episodes=2, seed=21, out="last", resume=resume)
+        assert ["error" in json.loads(row) for row in Path("last/rows.jsonl").read_text().splitlines()] == [False, True]
 
 
 # --- measured ---------------------------------------------------------------------------------------------------------

@@ -17,7 +17,7 @@ import torch as th
 from torch.nn import functional
 
 import uavaccel.envs  # noqa: F401 - registers
-from tests.gpu_threads import Twice, kernels_in_python
+from tests.gpu_threads import Numbers, Twice, kernels_in_python
 from tests.host_kernels import host_kernels  # noqa: F401 - a fixture
 from uavaccel.config import validate
 from uavaccel.envs.kernel_batch import KernelBatch
@@ -28,6 +28,7 @@ from uavaccel.errors import UserError
 from uavaccel.kernels.recording import recorded
 from uavaccel.rl.double_dqn import DeviceDQN
 from uavaccel.rl.learner import Game
+from uavaccel.rl.network import QNetwork
 from uavaccel.rl.policy import weights_sha256
 from uavaccel.suites.train import TrainConfig
 
@@ -170,9 +171,38 @@ def unfolded(sight: Any, ring: th.Tensor, row: th.Tensor, lane: th.Tensor, mirro
     """Patches (n, places, numbers) of what a ring shows, turned round where it is to be mirrored."""
     from uavaccel.rl.patches import KERNEL, PADDING, STRIDE, spread_levels
 
-    seen = spread_levels(ring.device)[ring[row, lane].long()].float()
+    seen = spread_levels(ring.device)[ring[row, lane].long()].view(th.bfloat16).float()
     turned = th.where(mirrored.bool()[:, None, None, None], seen.flip(-1), seen)
     return functional.unfold(turned, KERNEL, padding=PADDING, stride=STRIDE).transpose(1, 2)
+
+
+@pytest.mark.filterwarnings("ignore:.*CUDA is not available:UserWarning")
+@pytest.mark.usefixtures("host_kernels")
+def test_patches_hold_what_the_first_convolution_sees(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As a GPU's threads cut them, in Python, up to the edges; the network rates them as the pictures themselves."""
+    patches, (gpu, _) = import_module("uavaccel.rl.patches"), kernels_in_python()
+    for name, value in {
+        "cuda": gpu,
+        "np": Numbers("numpy"),
+        "grid": lambda threads, each: (-(-threads // each), each),
+    }.items():
+        monkeypatch.setattr(patches, name, value)
+    sight = patches.Patches((2, 12, 16), th.device("cpu"))
+    cut: Any = sight._kernel
+
+    class Kernel:
+        def __getitem__(self, grid: Any) -> Any:
+            return lambda *arguments: gpu.launch(cut, range(grid[0]), grid[1], range(grid[1]), arguments)
+
+    sight._kernel, random = Kernel(), th.Generator().manual_seed(0)
+    ring = th.randint(256, (3, 2, 2, 12, 16), dtype=th.uint8, generator=random)
+    row, lane, mirrored = th.tensor([2, 0, 1, 2]), th.tensor([0, 1, 0, 1]), th.tensor([False, True, True, False])
+    found = sight.look(ring, row, lane, mirrored).float()
+    wanted = unfolded(sight, ring, row, lane, mirrored)
+    assert th.equal(found.view(wanted.shape), wanted)
+    network, seen = QNetwork((2, 12, 16), 5, [4, 3], [16]), ring[row, lane]
+    seen[mirrored] = seen[mirrored].flip(-1)
+    th.testing.assert_close(sight.rate(network, found), network(seen), rtol=0.0, atol=2e-3)
 
 
 @pytest.fixture

@@ -169,9 +169,10 @@ def test_intervals_and_exact_tests_are_scipys(outcomes: list[tuple[bool, bool]],
 
 @given(st.integers(0, 2**32 - 1), st.integers(1, 200), st.integers(1, 200))
 def test_stlc_in_space_is_that_of_scipys_nearest_neighbours(seed: int, count: int, others: int) -> None:
-    """Of ways that wander, which the search passes over in steps as long as it knows to be safe."""
+    """Of ways that wander, one after a leap, which the search passes over in steps as long as it knows to be safe."""
     random = np.random.default_rng(seed)
     one, two = (np.cumsum(random.normal(size=(length, 3)), axis=0) for length in (count, others))
+    one[0] += 30.0
     nearest = (np.exp(-KDTree(there).query(here)[0]).mean() for here, there in ((one, two), (two, one)))
     found = stlc(np.arange(count), one, np.arange(others), two, lam=1.0)
     assert found == pytest.approx(sum(nearest), abs=1e-12)
@@ -276,6 +277,8 @@ def test_what_is_no_flight_has_no_score(times_s: list[float], points_m: NDArray[
 
 @given(st.lists(flights(), min_size=1, max_size=4), st.lists(flights(), min_size=1, max_size=4))
 def test_the_matrix_is_bit_equal_to_single_pairs(games: list[Trajectory], references: list[Trajectory]) -> None:
+    """Also with other times of as many samples."""
+    references = [*references, Trajectory(games[0].time_s * 2 - games[0].time_s[0], games[0].position_m)]
     matrix = stlc_matrix(games, references)
     single = [[stlc(*game, *reference) for reference in references] for game in games]
     assert np.array_equal(matrix, np.array(single))

@@ -307,6 +307,9 @@ def test_in_a_notebook_code_that_was_edited_flies_as_it_is_now(file: str, here: 
         known.add(imported_code())
         (here / file).write_text((here / file).read_text().replace("= 3", "= 1 ").replace("return EAST", "return 1"))
     assert len(known) == 2
+    (here / file).write_text("raise SystemExit('it ran')")
+    with pytest.raises(UserError, match=r"pilot\.py has changed since it was trusted|it ran"):
+        uavaccel.film(run)
 
 
 WRONG = """

@@ -17,6 +17,7 @@ from tests.test_claims import images, only, trained, trajectories
 from uavaccel.config import validate
 from uavaccel.envs.stopwatch import PHASES
 from uavaccel.errors import UserError
+from uavaccel.files import to_json
 from uavaccel.records import RunDirectory
 from uavaccel.suites import claims
 from uavaccel.suites.dp1 import Dp1
@@ -155,11 +156,14 @@ def test_parts_are_scored_once_for_the_same_games(
 
     monkeypatch.setattr(Dp1, "score", scored_again)
     monkeypatch.setattr(Dp2, "score", scored_again)
-    run = RunDirectory(shutil.copytree(report.run.path, tmp_path / "run"))
-    assert Paper().report(run).summary == report.summary
-    RunDirectory(run.path / "parts/dp1-native").append_row(line_row("game", "adsc", 5.0, 1, 0.0))
-    with pytest.raises(AssertionError, match="scored again"):
-        assert Paper().report(run).summary
+    more = to_json(line_row("game", "adsc", 5.0, 1, 0.0))
+    for name, changed in (("rows.jsonl", f"{more}\n"), ("config.yaml", "# read otherwise\n")):
+        run = RunDirectory(shutil.copytree(report.run.path, tmp_path / name))
+        assert Paper().report(run).summary == report.summary
+        with (run.path / "parts/dp1-native" / name).open("a") as file:
+            file.write(changed)
+        with pytest.raises(AssertionError, match="scored again"):
+            assert Paper().report(run).summary
 
 
 def test_rows_alone_decide_all_but_where_games_ended(report: Report) -> None:

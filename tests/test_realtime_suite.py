@@ -352,9 +352,12 @@ def test_what_is_flown_is_what_the_simulated_clock_models(run: RunDirectory, tmp
         ("environments={x: {id: 'os:Nowhere-v0'}}", "environments.x.id: no module 'os' in "),
         ("environments={x: {id: CartPole-v1}}", "environments.x, agents.naive: default_action: a Discrete"),
         ("environments={x: {id: CartPole-v1, default_action: 0}}", "agents.look_ahead: look_ahead: looks into"),
-        (
-            "environments={x: {id: uavaccel/Hover-v0, keys: {timing: wall}}}",
-            "environments.x.keys: a drone has timing of",
+        *(
+            (
+                f"environments={{x: {{id: uavaccel/Hover-v0, keys: {{{key}: 1}}}}}}",
+                f"environments.x.keys: a drone has {key} of",
+            )
+            for key in ("timing", "command", "clock_speed")
         ),
         (
             "environments={x: {id: FrozenLake-v1, default_action: 0, period_s: 1}}",
@@ -376,6 +379,7 @@ def test_what_does_not_fit_is_one_line(override: str, said: str) -> None:
     ("name", "step", "said"),
     [
         ("Blurred", "return np.zeros(4), np.nan, False, False, {}", "Blurred-v0: a reward or an observation is NaN"),
+        ("Frayed", "return np.array([0, np.nan, 0, 0]), 1, False, False, {}", "Frayed-v0: a reward or an obs"),
         ("Broken", "raise KeyError('no motor')", "broken_cart.py:7: Cart.step: KeyError: 'no motor'"),
     ],
 )
@@ -391,7 +395,8 @@ def test_a_mistake_of_ones_own_environment_is_one_line(
     monkeypatch.setattr(sys, "path", [*sys.path])
     monkeypatch.chdir(tmp_path)
     environment = f"environments={{x: {{id: 'broken_cart:{name}-v0', default_action: 0, train_steps: 8}}}}"
-    for agent in ("{}", "{policies: {x: 'broken_cart.py:act'}}"):
+    own = "{policies: {x: 'broken_cart.py:act'}}"  # which may be given what it likes
+    for agent in ("{}", own)[: 1 + (name != "Frayed")]:
         with trusting(), pytest.raises(UserError, match=said):
             flown(tmp_path / "run", environment, f"agents={{a: {agent}}}")
         shutil.rmtree(tmp_path / "run")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import runpy
 import sys
 from functools import cache
@@ -11,6 +12,7 @@ from typing import Any
 
 import pytest
 
+from tests.golden import assert_as_recorded
 from tests.test_document import parse
 from uavaccel.cli.machine import SCHEMA, init, schema_text
 from uavaccel.config import load_yaml
@@ -107,11 +109,14 @@ def test_every_suite_has_a_schema_that_tells_wrong_keys() -> None:
 
 
 def test_the_page_of_keys_has_every_key_of_every_suite() -> None:
+    """With the values that it takes and its default, as recorded."""
     page = runpy.run_path(str(Path(__file__).parents[1] / "docs/site/keys.py"))["page"]()
     for name in SUITES:
         table = page.split(f"\n## {name}\n")[1].split("\n## ")[0]
         for key in find_suite(name, "keys").config.model_fields:
             assert key == "suite" or f"| `{key}` |" in table, f"{name}: {key}"
+    rows = [re.sub(r"^\| |( \| )+[^|]* \|$", "", line) for line in page.splitlines() if line.startswith(("## ", "| `"))]
+    assert_as_recorded("keys", "\n".join([*rows, ""]))
 
 
 def test_the_training_can_be_flown_and_its_schema_knows_the_task(folder: Path) -> None:

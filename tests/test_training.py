@@ -6,6 +6,7 @@ import hashlib
 import signal
 import sys
 from collections.abc import Callable, Sequence
+from contextlib import closing
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
@@ -18,6 +19,7 @@ from tests.learning import side_by_side, tiny_config, train_into
 from tests.opengl import needs_opengl
 from tests.running import configured
 from uavaccel.config import to_yaml
+from uavaccel.envs.batch import LanesHere
 from uavaccel.envs.obstacle_lane import ObstacleLane
 from uavaccel.errors import UserError
 from uavaccel.files import append_lines, to_json
@@ -307,6 +309,13 @@ def test_processes_learn_what_one_would(tmp_path: Path, monkeypatch: pytest.Monk
         with pytest.raises(RuntimeError, match="stopped"):
             run_suite(Training(), turns, start_run(Training(), turns, tmp_path / "cut", {}), on_game=stop_after(7))
     assert train_into(tmp_path / "cut", turns, resume=True) == whole
+
+
+def test_on_the_machines_clock_nothing_learns_while_it_flies() -> None:
+    """Both are in this process."""
+    config = tiny_config({**STATE, "timing": "wall"}, mirror=False, environments=1)
+    with closing(make_lanes(config)) as flown:
+        assert isinstance(flown, LanesHere)
 
 
 # --- schedules and records --------------------------------------------------------------------------------------

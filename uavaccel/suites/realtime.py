@@ -507,11 +507,12 @@ def flown(config: RealtimeConfig, case: Training, run: RunDirectory) -> dict[str
         learned = {"steps": report.summary["commands"], "agent_sha256": report.summary["weights_sha256"]}
         return {**learned, "last_return": float(recent_mean(report.games["return"]).iloc[-1])}
     agent = str(part_folder(run, case.trained).resolve())
-    keys = flight.evaluation.keys | {"agent": agent, "inference_s": case.latency_s, "task.mediation": {}}
+    thinks_s = config.delay_s(case.agent, case.latency_s)
+    keys = flight.evaluation.keys | {"agent": agent, "inference_s": thinks_s, "task.mediation": {}}
     keys |= {f"task.{name}": getattr(case, name) for name in OF_THE_CASES}
     evaluation = Part(experiment=flight.evaluation.experiment, keys=keys).resolve(config.seed)[1]
     lanes = range(evaluation.first_lane, evaluation.first_lane + evaluation.games)
     with closing(GamesInBatch(evaluation, lanes)) as batch:
         won = [float(batch.game(lane).row["is_success"]) for lane in lanes]
-    delay_s = case.latency_s * case.clock_speed if case.command == "adsc" else 0.0
+    delay_s = thinks_s * case.clock_speed if case.command == "adsc" else 0.0
     return subset(vars(case), *UNDER) | {"returns": won, "delays_s": [delay_s] * len(won), "late_s": 0.0}
