@@ -6,7 +6,6 @@ import ast
 import base64
 import math
 import re
-import runpy
 import shlex
 from collections.abc import Iterator
 from pathlib import Path
