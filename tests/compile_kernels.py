@@ -60,7 +60,8 @@ def fly_alone() -> None:
     with closing(World("blocks", NATIVE)) as world:
         world.reset()
         world.advance(2)
-    stlc_matrix(*[[trajectory([0.0, 1.0], np.zeros((2, 3)))]] * 2)
+    flights = [trajectory([0.0, 1.0], np.zeros((2, 3)))]
+    stlc_matrix(flights, flights)
 
 
 def render() -> None:
