@@ -24,9 +24,13 @@ from uavaccel.envs.navigate import Navigate
 from uavaccel.kernels.appearance import empty_scenes, fill_scenes, read_appearance
 from uavaccel.kernels.fields import Appearance
 from uavaccel.kernels.pictures import render_lanes
+from uavaccel.metrics.stlc import stlc_matrix
+from uavaccel.metrics.trajectory import trajectory
 from uavaccel.resources import asset
 from uavaccel.sim.camera import pixels
 from uavaccel.sim.lane import layout_from
+from uavaccel.sim.profile import NATIVE
+from uavaccel.sim.world import World
 from uavaccel.vision import dvs
 from uavaccel.vision.dvs_kernels import block_sums
 
@@ -39,6 +43,7 @@ CASES = [*FLOWN, (Navigate, {"observation": "depth", "timing": "virtual"}), (Nav
 def main() -> None:
     for task, camera in product(("lane", "navigate"), CAMERAS):
         fly_a_command(uavaccel.make_vec(task, 1, simulator="kernels", observation="dvs", max_commands=1, **camera))
+    fly_alone()
     render()
     count_events()
     make_smaller()
@@ -48,6 +53,15 @@ def main() -> None:
         of_a_gpu = import_module("uavaccel.envs.cuda_batch").CudaBatch
         for kind, keys in CASES:
             fly_a_command(of_a_gpu(kind, 1, max_commands=1, **keys))
+
+
+def fly_alone() -> None:
+    """The exact simulator, between whose checks for contact it flies free, and how close two flights are."""
+    with closing(World("blocks", NATIVE)) as world:
+        world.reset()
+        world.advance(2)
+    flights = [trajectory([0.0, 1.0], np.zeros((2, 3)))]
+    stlc_matrix(flights, flights)
 
 
 def render() -> None:
@@ -66,6 +80,7 @@ def lane_appearance() -> Appearance:
 def count_events() -> None:
     """By each preset of the exact simulator's event camera."""
     frames = np.zeros((2, 144, 256), np.uint8)
+    frames[1] = 255
     for preset in dvs.PRESETS.values():
         sensor = dvs.make_sensor(preset, frames[0].shape, seed=0)
         dvs.step_with_events(sensor, dvs.init_state(sensor, frames[0]), frames[1], 0.01)

@@ -39,6 +39,9 @@ from uavaccel.sim.world import World
 # the tests.
 gc.disable()
 
+# With threads of its own for each worker PyTorch waits more than it computes, also in the programs that tests start.
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
 # What typer makes of the commands is put together once, not whenever a test runs one.
 typer.main.get_command = cache(typer.main.get_command)
 

@@ -11,14 +11,13 @@ from collections.abc import Callable, Collection
 from copy import deepcopy
 from functools import cache, partial
 from importlib import import_module
-from threading import Semaphore
-from threading import Thread as PythonThread
 from types import CellType, FunctionType, ModuleType, SimpleNamespace
 from typing import Any, ClassVar
 
 import numba
 import numpy as np
 import pytest
+from greenlet import greenlet
 from numba import typeof
 from numba.np.numpy_support import as_dtype
 
@@ -36,31 +35,16 @@ class Thread:
     arrays = 0
 
     def __init__(self, number: int, work: Callable[[], None]) -> None:
-        self.number, self._error, self._go, self._back = number, BaseException(), Semaphore(0), Semaphore(0)
-        PythonThread(target=self._run, args=(work,), daemon=True).start()
-
-    def _run(self, work: Callable[[], None]) -> None:
-        self._go.acquire()
-        try:
-            with np.errstate(all="ignore"):
-                work()
-            self.asked = None
-        except BaseException as error:
-            self.asked, self._error = "error", error
-        self._back.release()
+        self.number, self._running = number, greenlet(work)
 
     def turn(self) -> bool:
         """Run on; whether it waits again."""
-        self._go.release()
-        self._back.acquire()
-        if self.asked == "error":
-            raise self._error
-        return self.asked is not None
+        self._running.switch()
+        return not self._running.dead
 
     def wait(self, *asked: Any) -> Any:
         self.asked = asked
-        self._back.release()
-        self._go.acquire()
+        self._running.parent.switch()
         return self.answer
 
 
@@ -85,7 +69,7 @@ class Gpu(ModuleType):
         """Run `some` threads of these blocks of a size."""
         for block in blocks:
             self.blockIdx, self._size, self._arrays = SimpleNamespace(x=block), size, dict[int, Any]()
-            left = [Thread(number, lambda: kernel(*arguments)) for number in some]
+            left = [Thread(number, partial(np.errstate(all="ignore")(kernel), *arguments)) for number in some]
             while left:
                 left = [thread for thread in left if self._turn(thread)]
                 for warp in {thread.number // WARP for thread in left}:

@@ -11,7 +11,7 @@ from uavaccel.config import validate
 from uavaccel.envs.batch import LanesHere
 from uavaccel.rl import lanes
 from uavaccel.rl.config import LearnerConfig
-from uavaccel.suites import trainer
+from uavaccel.suites import evaluate_lanes, trainer
 from uavaccel.suites.evaluate import Evaluation
 from uavaccel.suites.train import TrainConfig, Training
 
@@ -36,8 +36,9 @@ def side_by_side(config: LearnerConfig, *_: Any) -> LanesHere:
 
 
 def fly_here(put: Callable[[Any, str, Any], None] = setattr) -> None:
-    """Trainings fly their lanes in this process and nobody draws them: both take longer than a small one itself."""
+    """Trainings and evaluations fly in this process and nobody draws them: both take longer than a small one itself."""
     put(trainer, "make_lanes", side_by_side)
+    put(evaluate_lanes, "EnvironmentBatch", LanesHere)
     put(lanes, "start_exact_lanes", lambda *_: None)
     put(Training, "page", lambda *_: iter(()))
     put(Evaluation, "page", lambda *_: iter(()))

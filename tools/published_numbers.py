@@ -427,7 +427,8 @@ def gaps() -> Text:
     *others, worst = sorted(map(list, zip(*hard_cells, strict=True)), reverse=True)
     rest = [n for each in others for n in each]
     yield f"TCSC wins {min(worst)} to {max(worst)} with one seed and {min(rest)} to {max(rest)} with the others"
-    yield f"{sum(row['split'] != 'test' for row in rows_of('rl_collapse'))} of the fifth seed's policies flew evaluation lanes"
+    elsewhere = sum(row["split"] != "test" for row in rows_of("rl_collapse"))
+    yield f"{elsewhere} of the fifth seed's policies flew evaluation lanes"
     hard = {k: [flown(thinking("adsc", k, 400, "hard_")).ratio.to_numpy() * 100] for k in clocks}
     yield "with .4 s of thinking, ADSC wins " + ", ".join(
         f"{short(ratio[0].min(), 1 if k > 1 else 0)} to {short(ratio[0].max(), 1 if k > 1 else 0)} % "

@@ -265,8 +265,16 @@ class SlotsHere:
 
     def answers(self, slots: Sequence[int]) -> list[Answer]:
         """Return the answers of `slots` to what they were asked."""
-        asked = [(self._slots[slot], *self._asked.pop(slot)) for slot in slots]
-        return [getattr(slot, method)(*arguments) for slot, method, arguments in asked]
+        return [self.answer(slot) for slot in slots]
+
+    def answer(self, slot: int) -> Answer:
+        """Return one slot's answer."""
+        method, arguments = self._asked.pop(slot)
+        return getattr(self._slots[slot], method)(*arguments)
+
+    def first_answered(self) -> int:
+        """Return the slot that was asked first."""
+        return next(iter(self._asked))
 
     def close(self) -> None:
         """End the environments."""
