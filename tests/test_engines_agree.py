@@ -170,6 +170,7 @@ COLOUR, DEPTH = {"observation": "colour"}, {"observation": "depth", "image_noise
 
 KINDS: list[type[FlightEnv]] = [Hover, Gates, ObstacleLane, Post, Spin, Navigate]
 WORLDS = {"clutter": {"shapes": 250}, "speed_m_s": 6.0, "split": "evaluation"}
+UNSEEN = {"observation": "state", "picture_size": [64, 36]}  # which is of no picture here
 
 
 @st.composite
@@ -179,7 +180,7 @@ def cases(draw: st.DrawFn) -> Case:
     parts: dict[Any, list[Any]] = {
         Hover: [HOVERS, CONTINUOUS],
         Gates: [GATES, CONTINUOUS],
-        ObstacleLane: [FLIGHTS, COMMANDED, st.one_of(RANDOMISED, st.just(PLACED)), st.just({"observation": "state"})],
+        ObstacleLane: [FLIGHTS, COMMANDED, st.one_of(RANDOMISED, st.just(PLACED)), st.just(UNSEEN)],
         Post: [COMMANDED, st.fixed_dictionaries({"ends_at_touch": st.booleans()})],
         Spin: [LOW_LEVEL],
         Navigate: [st.just({**WORLDS, "observation": "state"}), CONTINUOUS],
@@ -464,12 +465,12 @@ GOES_ON: Keys = {
     "timing": "virtual",
     "command": "adsc",
     "clock_speed": 3.0,
-    "latency": QUICK,
+    "latency": {**QUICK, "scale": 2.0, "platform": {"faults": {"late": 1.0}}},
     "t_move_s": 0.5,
     "t_sample_s": 0.2,
     "max_commands": 8,
 }
-"""A vehicle that has touched something is given commands while time passes."""
+"""A vehicle that has touched something is given commands, which come late, while time passes."""
 STANDS_IN_THE_GAP: Keys = {
     "ends_at_touch": False,
     "mediation": {"gap_s": 0.3, "image_age_s": 0.0, "start_speed": 0.4},
@@ -493,7 +494,7 @@ FIXTURES = settings(suppress_health_check=[HealthCheck.function_scoped_fixture, 
 @example(Case(ObstacleLane, {**HOLD_TO_COME, "observation": "state"}, 0, 8, 0.5, 0.0, events=("", "options", "move")))
 @example(Case(Post, GOES_ON, seed=1, commands=9, noise=0.1, work_s=0.7, events=("", "", "", "", "move")))
 @example(Case(Post, STANDS_IN_THE_GAP, seed=1, commands=9, noise=0.1, work_s=0.0, events=("", "", "", "", "move")))
-@example(Case(ObstacleLane, MANY_GAMES, seed=0, commands=16, noise=0.1, work_s=0.0, events=("options",)))
+@example(Case(ObstacleLane, MANY_GAMES, seed=0, commands=16, noise=0.1, work_s=0.0, events=("options", "", "", "seed")))
 @given(cases())
 @pytest.mark.usefixtures("a_gpu")
 def test_games_are_the_same_in_all_simulators(case: Case) -> None:
