@@ -260,9 +260,12 @@ def test_old_names_of_numpy_mean_what_they_meant() -> None:
     vars(numpy).update({name: getattr(np, name) for name in (*there, "prod", "cumprod", "any", "all", "isin")})
     with Patches() as patches:
         environment.supply_numpy(patches, numpy)
-        assert (numpy.float, numpy.int, numpy.bool, numpy.object) == (float, int, bool, object)
-        assert (numpy.bool8, numpy.float_, numpy.product, numpy.in1d) == (np.bool_, np.float64, np.prod, np.isin)
-        assert (numpy.sometrue, numpy.alltrue, numpy.Inf, numpy.NINF) == (np.any, np.all, np.inf, -np.inf)
+        assert all(getattr(numpy, kind.__name__) is kind for kind in (bool, complex, float, int, object, str))
+        types = {"bool8": np.bool_, "float_": np.float64, "complex_": np.complex128, "string_": np.bytes_}
+        reduced = {"product": np.prod, "cumproduct": np.cumprod, "sometrue": np.any, "alltrue": np.all, "in1d": np.isin}
+        assert [getattr(numpy, name) for name in types | reduced] == [*types.values(), *reduced.values()]
+        assert [numpy.Inf, numpy.infty, numpy.PINF, -numpy.NINF] == [np.inf] * 4
+        assert (numpy.NaN, numpy.unicode_) == (np.nan, np.str_)
         bytes_of = numpy.fromstring(b"\x01\x02\x03", np.uint8)
         bytes_of[0] = 9
         assert bytes_of.tolist() == [9, 2, 3]
