@@ -21,7 +21,7 @@ from hypothesis import strategies as st
 
 from tests.host_kernels import ON_A_GPU, a_gpu, host_kernels  # noqa: F401 - fixtures
 from tests.lanes import SideBySide, assert_close, assert_same, stored
-from tests.own_tasks import Post, PostTask, Spin
+from tests.own_tasks import Few, Post, PostTask, Spin
 from uavaccel.envs import kernel_games
 from uavaccel.envs.arrays import mapped, select
 from uavaccel.envs.flight_env import FlightEnv, environment_of
@@ -201,7 +201,7 @@ def seen_cases(draw: st.DrawFn) -> Case:
     keys |= draw(st.sampled_from([{}, both, {"dvs_rate_hz": 1000 / 12}, {"dvs_rate_hz": 500.0} | both, COLOUR, DEPTH]))
     if "dvs_rate_hz" in keys and keys.get("profile") == "airsim":
         keys["dvs_rate_hz"] = 1000 / 12  # which divides both profiles' steps
-    short = durations((0.1, 0.1), (0.24, 0.12)) if "dvs_rate_hz" in keys else durations((0.3, 0.3), (0.4, 0.2))
+    short = durations((0.104, 0.104), (0.24, 0.12)) if "dvs_rate_hz" in keys else durations((0.3, 0.3), (0.4, 0.2))
     if "mediation" in keys:
         keys["mediation"] = {**keys["mediation"], "image_age_s": draw(st.sampled_from([0.0, 0.05, 0.2, 0.25]))}
         keys.pop("dvs_rate_hz", None)
@@ -494,6 +494,7 @@ FIXTURES = settings(suppress_health_check=[HealthCheck.function_scoped_fixture, 
 @example(Case(ObstacleLane, {**HOLD_TO_COME, "observation": "state"}, 0, 8, 0.5, 0.0, events=("", "options", "move")))
 @example(Case(Post, GOES_ON, seed=1, commands=9, noise=0.1, work_s=0.7, events=("", "", "", "", "move")))
 @example(Case(Post, STANDS_IN_THE_GAP, seed=1, commands=9, noise=0.1, work_s=0.0, events=("", "", "", "", "move")))
+@example(Case(Few, {**UNSEEN, "max_commands": 2}, seed=0, commands=6, noise=0.1, work_s=0.0))
 @example(Case(ObstacleLane, MANY_GAMES, seed=0, commands=16, noise=0.1, work_s=0.0, events=("options", "", "", "seed")))
 @given(cases())
 @pytest.mark.usefixtures("a_gpu")

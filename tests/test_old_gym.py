@@ -186,9 +186,11 @@ def run_as_a_script(text: str, keys: str = "") -> dict[str, Any]:
 
 @WITHOUT_KEYS
 def test_what_else_such_a_module_has_does_nothing() -> None:
-    """But its clock goes by the script's time."""
+    """But its clock goes by the script's time; a library finds no such module."""
     text = """
-import pygame
+import pygame, sysconfig
+library = {"__name__": "library", "__file__": sysconfig.__file__}
+exec("try: import keyboard\\nexcept ImportError: missing = True", library)
 ticks = [pygame.time.get_ticks(), work(0.25), pygame.time.get_ticks()]
 class Sprite(pygame.sprite.Sprite):
     pass
@@ -199,6 +201,7 @@ told = [*screen, len(screen), int(screen), float(screen), screen[3], "ab"[screen
 """
     names = run_as_a_script(text)
     assert names["ticks"] == [0, None, 250]
+    assert names["library"]["missing"]
     assert names["told"] == [0, 0, 0.0, False, "a", "Sprite"]
 
 
