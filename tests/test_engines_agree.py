@@ -538,6 +538,8 @@ COMES_NEAR: Keys = {
 """The event camera's picture becomes darker from sample to sample, and is requested again."""
 RESTS: Keys = {"dvs_preset": "command_line", "dvs_rate_hz": 500.0, "t_move_s": 0.1, "t_sample_s": 0.1, "speed_m_s": 6.0}
 """Frames come every 2 ms, of which a pixel rests half a millisecond after each event."""
+OUT_OF_STEP: Keys = {"dvs_rate_hz": 250 / 3, "t_move_s": 0.104, "t_sample_s": 0.104, "speed_m_s": 6.0}
+"""The second command has a frame more than the first."""
 STANDS_BETWEEN_FRAMES: Keys = {
     "observation": "colour",
     "knows": ["last_action", "frame_age"],
@@ -603,6 +605,7 @@ STALE_FOR_THE_GUARD: Keys = {
 @example(Case(ObstacleLane, OTHER_NOISE, seed=0, commands=5, noise=0.5, work_s=0.0))
 @example(Case(ObstacleLane, COMES_NEAR, seed=0, commands=4, noise=0.0, work_s=0.0))
 @example(Case(ObstacleLane, RESTS, seed=2, commands=2, noise=0.0, work_s=0.0))
+@example(Case(ObstacleLane, OUT_OF_STEP, seed=2, commands=3, noise=0.0, work_s=0.0))
 @given(seen_cases())
 @pytest.mark.usefixtures("a_gpu", "kernels_pictures")
 def test_cameras_see_the_same_in_all_simulators(case: Case) -> None:
