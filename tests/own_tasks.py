@@ -10,6 +10,7 @@ import numpy as np
 from gymnasium import spaces
 
 from uavaccel.envs.flight_env import FlightEnv
+from uavaccel.envs.obstacle_lane import LaneTask
 from uavaccel.envs.task import Task, distance
 from uavaccel.envs.values import Action, AnyMoment, Course, Info, Number
 from uavaccel.kinematics import BodyRatesGoal, Kinematics, VelocityGoal
@@ -155,6 +156,17 @@ class PairTask(Task):
 
     def info(self, now: AnyMoment) -> Info:
         return {"near": now.course["seen"][0]["times"]}
+
+
+class FewTask(LaneTask):
+    """Lanes of the usual difficulty, of which only three are flown."""
+
+    def sample(self, random: np.random.Generator, options: Mapping[str, object]) -> Course:
+        return {"lane": int(random.integers(3))}
+
+
+class Few(FlightEnv[FewTask]):
+    task_class = FewTask
 
 
 class Pair(FlightEnv[PairTask]):

@@ -104,6 +104,17 @@ def test_an_external_camera_stands_in_the_world_and_sees_the_vehicle() -> None:
     forward, right, down = (np.array(VEHICLE.position_m) - eye) @ axes
     row, column = int(27 + 48 * down / forward), int(48 + 48 * right / forward)
     assert floats(response)[row, column] == pytest.approx(forward, abs=0.5), "the vehicle is in the way"
+    [scene] = wire.call("simGetImages", [{"camera_name": "mast", "image_type": SCENE}], "", True)
+    assert wire.call("simGetImage", "mast", SCENE, "", True) == scene["image_data_uint8"]
+    detecting = ("simAddDetectionFilterMeshName", SCENE, "a"), ("simSetDetectionFilterRadius", SCENE, 9.0)
+    for method, *more in (
+        *(("simGetCameraInfo",), ("simSetCameraFov", 80.0), ("simSetCameraPose", pose(0.0, 0.0, 0.0))),
+        *(("simGetDistortionParams",), ("simSetDistortionParam", "K1", 0.0), ("simGetImage", SCENE)),
+        *(*detecting, ("simGetDetections", SCENE), ("simClearDetectionMeshNames", SCENE)),
+    ):
+        wire.call(method, "mast", *more, "", True)
+        with pytest.raises(rpc.RpcError, match="no camera 'mast'"):
+            wire.call(method, "mast", *more, "")
     with pytest.raises(rpc.RpcError, match="no camera 'mast'"):
         wire.images(("mast", PLANAR, True))
     with pytest.raises(rpc.RpcError, match="no camera '0'; there are mast"):

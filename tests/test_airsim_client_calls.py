@@ -255,7 +255,9 @@ def test_answers_keep_unknown_fields_and_default_missing_ones() -> None:
 
 def test_lists_of_answers_are_airsims_types(client: Any, recorder: Recorder) -> None:
     recorder.answer = [{"width": 3}, {"width": 4}]
-    images = client.simGetImages([airsim.ImageRequest("0", 0)])
+    images = client.simGetImages([airsim.ImageRequest(0, 5)])
+    asked = {"camera_name": "0", "image_type": 5, "pixels_as_float": False, "compress": True}
+    assert recorder.sent == [("simGetImages", [asked], "", False)]
     assert [(type(image), image.width) for image in images] == [(airsim.ImageResponse, 3), (airsim.ImageResponse, 4)]
     recorder.answer = [{"name": "A"}]
     assert [(type(detection), detection.name) for detection in client.simGetDetections("0", 0)] == [

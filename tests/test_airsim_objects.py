@@ -265,6 +265,7 @@ def test_it_finds_what_pythons_own_matcher_finds(expression: str, names: list[st
     ("RÜCK.*", ["Rück_ß"]),
     (r"r.\w+", []),  # as in the C locale, ASCII's letters alone
     ("[[:upper:]]+", ["a", "ab", "aab", "B", "Ground"]),
+    ("[[:d:]][[:s:]][[:w:]]", ["1 b"]),
     (r"(.)\1.*", ["aab"]),
     ("[^]{1}|[]", ["a", "B"]),
     (r"\A{1}|a\{,2}|a{2\}", ["a", "a{2}"]),
@@ -274,8 +275,9 @@ def test_whole_names_whatever_their_case(expression: str, found: list[str]) -> N
 
 
 def test_the_end_is_not_before_a_last_line_break_nor_a_dot_one() -> None:
-    assert matching("a$", ["a", "a\n"]) == ["a"]
+    assert matching(r"a$|b\0", ["a", "a\n", "b\0"]) == ["a", "b\0"]
     assert matching("a$.*|a.", ["a", "a\n", "a\u2028"]) == ["a"]
+    assert [matching(f"[[:{case}:]]", ["A", "é"]) for case in ("lower", "upper")] == [["A"]] * 2
 
 
 @pytest.mark.parametrize("expression", ["(a+)+$", "(a|a)*b", "((a*)*)*b", "(x+x+)+y", "(.*.*.*)*!", "(?:(?:a+)+)+!"])

@@ -21,7 +21,7 @@ from hypothesis import strategies as st
 
 from tests.host_kernels import ON_A_GPU, a_gpu, host_kernels  # noqa: F401 - fixtures
 from tests.lanes import SideBySide, assert_close, assert_same, stored
-from tests.own_tasks import Post, PostTask, Spin
+from tests.own_tasks import Few, Post, PostTask, Spin
 from uavaccel.envs import kernel_games
 from uavaccel.envs.arrays import mapped, select
 from uavaccel.envs.flight_env import FlightEnv, environment_of
@@ -170,6 +170,7 @@ COLOUR, DEPTH = {"observation": "colour"}, {"observation": "depth", "image_noise
 
 KINDS: list[type[FlightEnv]] = [Hover, Gates, ObstacleLane, Post, Spin, Navigate]
 WORLDS = {"clutter": {"shapes": 250}, "speed_m_s": 6.0, "split": "evaluation"}
+UNSEEN = {"observation": "state", "picture_size": [64, 36]}  # which is of no picture here
 
 
 @st.composite
@@ -179,7 +180,7 @@ def cases(draw: st.DrawFn) -> Case:
     parts: dict[Any, list[Any]] = {
         Hover: [HOVERS, CONTINUOUS],
         Gates: [GATES, CONTINUOUS],
-        ObstacleLane: [FLIGHTS, COMMANDED, st.one_of(RANDOMISED, st.just(PLACED)), st.just({"observation": "state"})],
+        ObstacleLane: [FLIGHTS, COMMANDED, st.one_of(RANDOMISED, st.just(PLACED)), st.just(UNSEEN)],
         Post: [COMMANDED, st.fixed_dictionaries({"ends_at_touch": st.booleans()})],
         Spin: [LOW_LEVEL],
         Navigate: [st.just({**WORLDS, "observation": "state"}), CONTINUOUS],
@@ -202,7 +203,7 @@ def seen_cases(draw: st.DrawFn) -> Case:
         keys |= {name: min(keys[name], 3.0) for name in ("clock_speed",) if name in keys}
         if keys.get("profile") == "airsim":
             keys["dvs_rate_hz"] = 1000 / 12  # which divides both profiles' steps
-    short = durations((0.1, 0.1), (0.24, 0.12)) if "dvs_rate_hz" in keys else durations((0.3, 0.3), (0.4, 0.2))
+    short = durations((0.104, 0.104), (0.24, 0.12)) if "dvs_rate_hz" in keys else durations((0.3, 0.3), (0.4, 0.2))
     if "mediation" in keys:
         keys["mediation"] = {**keys["mediation"], "image_age_s": draw(st.sampled_from([0.0, 0.05, 0.2, 0.25]))}
         keys.pop("dvs_rate_hz", None)
@@ -466,12 +467,12 @@ GOES_ON: Keys = {
     "timing": "virtual",
     "command": "adsc",
     "clock_speed": 3.0,
-    "latency": QUICK,
+    "latency": {**QUICK, "scale": 2.0, "platform": {"faults": {"late": 1.0}}},
     "t_move_s": 0.5,
     "t_sample_s": 0.2,
     "max_commands": 8,
 }
-"""A vehicle that has touched something is given commands while time passes."""
+"""A vehicle that has touched something is given commands, which come late, while time passes."""
 STANDS_IN_THE_GAP: Keys = {
     "ends_at_touch": False,
     "mediation": {"gap_s": 0.3, "image_age_s": 0.0, "start_speed": 0.4},
@@ -495,7 +496,8 @@ FIXTURES = settings(suppress_health_check=[HealthCheck.function_scoped_fixture, 
 @example(Case(ObstacleLane, {**HOLD_TO_COME, "observation": "state"}, 0, 8, 0.5, 0.0, events=("", "options", "move")))
 @example(Case(Post, GOES_ON, seed=1, commands=9, noise=0.1, work_s=0.7, events=("", "", "", "", "move")))
 @example(Case(Post, STANDS_IN_THE_GAP, seed=1, commands=9, noise=0.1, work_s=0.0, events=("", "", "", "", "move")))
-@example(Case(ObstacleLane, MANY_GAMES, seed=0, commands=16, noise=0.1, work_s=0.0, events=("options",)))
+@example(Case(Few, {**UNSEEN, "max_commands": 2}, seed=0, commands=6, noise=0.1, work_s=0.0))
+@example(Case(ObstacleLane, MANY_GAMES, seed=0, commands=16, noise=0.1, work_s=0.0, events=("options", "", "", "seed")))
 @given(cases())
 @pytest.mark.usefixtures("a_gpu")
 def test_games_are_the_same_in_all_simulators(case: Case) -> None:
@@ -538,6 +540,8 @@ COMES_NEAR: Keys = {
 """The event camera's picture becomes darker from sample to sample, and is requested again."""
 RESTS: Keys = {"dvs_preset": "command_line", "dvs_rate_hz": 500.0, "t_move_s": 0.1, "t_sample_s": 0.1, "speed_m_s": 6.0}
 """Frames come every 2 ms, of which a pixel rests half a millisecond after each event."""
+OUT_OF_STEP: Keys = {"dvs_rate_hz": 250 / 3, "t_move_s": 0.104, "t_sample_s": 0.104, "speed_m_s": 6.0}
+"""The second command has a frame more than the first."""
 STANDS_BETWEEN_FRAMES: Keys = {
     "observation": "colour",
     "knows": ["last_action", "frame_age"],
@@ -603,6 +607,7 @@ STALE_FOR_THE_GUARD: Keys = {
 @example(Case(ObstacleLane, OTHER_NOISE, seed=0, commands=5, noise=0.5, work_s=0.0))
 @example(Case(ObstacleLane, COMES_NEAR, seed=0, commands=4, noise=0.0, work_s=0.0))
 @example(Case(ObstacleLane, RESTS, seed=2, commands=2, noise=0.0, work_s=0.0))
+@example(Case(ObstacleLane, OUT_OF_STEP, seed=2, commands=3, noise=0.0, work_s=0.0))
 @given(seen_cases())
 @pytest.mark.usefixtures("a_gpu", "kernels_pictures")
 def test_cameras_see_the_same_in_all_simulators(case: Case) -> None:

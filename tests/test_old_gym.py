@@ -186,9 +186,11 @@ def run_as_a_script(text: str, keys: str = "") -> dict[str, Any]:
 
 @WITHOUT_KEYS
 def test_what_else_such_a_module_has_does_nothing() -> None:
-    """But its clock goes by the script's time."""
+    """But its clock goes by the script's time; a library finds no such module."""
     text = """
-import pygame
+import pygame, sysconfig
+library = {"__name__": "library", "__file__": sysconfig.__file__}
+exec("try: import keyboard\\nexcept ImportError: missing = True", library)
 ticks = [pygame.time.get_ticks(), work(0.25), pygame.time.get_ticks()]
 class Sprite(pygame.sprite.Sprite):
     pass
@@ -199,6 +201,7 @@ told = [*screen, len(screen), int(screen), float(screen), screen[3], "ab"[screen
 """
     names = run_as_a_script(text)
     assert names["ticks"] == [0, None, 250]
+    assert names["library"]["missing"]
     assert names["told"] == [0, 0, 0.0, False, "a", "Sprite"]
 
 
@@ -260,9 +263,12 @@ def test_old_names_of_numpy_mean_what_they_meant() -> None:
     vars(numpy).update({name: getattr(np, name) for name in (*there, "prod", "cumprod", "any", "all", "isin")})
     with Patches() as patches:
         environment.supply_numpy(patches, numpy)
-        assert (numpy.float, numpy.int, numpy.bool, numpy.object) == (float, int, bool, object)
-        assert (numpy.bool8, numpy.float_, numpy.product, numpy.in1d) == (np.bool_, np.float64, np.prod, np.isin)
-        assert (numpy.sometrue, numpy.alltrue, numpy.Inf, numpy.NINF) == (np.any, np.all, np.inf, -np.inf)
+        assert all(getattr(numpy, kind.__name__) is kind for kind in (bool, complex, float, int, object, str))
+        types = {"bool8": np.bool_, "float_": np.float64, "complex_": np.complex128, "string_": np.bytes_}
+        reduced = {"product": np.prod, "cumproduct": np.cumprod, "sometrue": np.any, "alltrue": np.all, "in1d": np.isin}
+        assert [getattr(numpy, name) for name in types | reduced] == [*types.values(), *reduced.values()]
+        assert [numpy.Inf, numpy.infty, numpy.PINF, -numpy.NINF] == [np.inf] * 4
+        assert (numpy.NaN, numpy.unicode_) == (np.nan, np.str_)
         bytes_of = numpy.fromstring(b"\x01\x02\x03", np.uint8)
         bytes_of[0] = 9
         assert bytes_of.tolist() == [9, 2, 3]

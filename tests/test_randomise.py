@@ -147,12 +147,12 @@ def test_conditions_end_with_their_game_and_frames_between_samples_take_no_time(
 
 
 def test_a_condition_may_have_a_share_of_its_own() -> None:
-    ranges = Ranges(wind_m_s=(3.0, 6.0), light=(0.1, 0.5), share=0.1, shares={"wind_m_s": 0.6})
-    random = np.random.default_rng(0)
-    drawn = [ranges.sample(random) for _ in range(1000)]
-    for name, share in (("wind_m_s", 0.6), ("light", 0.1)):
-        three_deviations = 3 * (1000 * share * (1 - share)) ** 0.5
-        assert sum(name in each for each in drawn) == pytest.approx(1000 * share, abs=three_deviations)
+    for keys in ({"share": 0.1, "shares": {"wind_m_s": 0.6}}, {"shares": {"light": 0.1, "wind_m_s": 0.6}}):
+        ranges, random = Ranges(wind_m_s=(3.0, 6.0), light=(0.1, 0.5), **keys), np.random.default_rng(0)
+        drawn = [ranges.sample(random) for _ in range(1000)]
+        for name, share in (("wind_m_s", 0.6), ("light", 0.1)):
+            three_deviations = 3 * (1000 * share * (1 - share)) ** 0.5
+            assert sum(name in each for each in drawn) == pytest.approx(1000 * share, abs=three_deviations)
     always = Ranges(wind_m_s=(3.0, 6.0), light=(0.1, 0.5), share=0.5, shares={"wind_m_s": 1, "light": 1})
     usual = Ranges(wind_m_s=(3.0, 6.0), light=(0.1, 0.5))
     same = [each.sample(np.random.default_rng(7)) for each in (always, usual)]

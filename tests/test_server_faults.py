@@ -31,6 +31,7 @@ from uavaccel.wire.transport import SILENCE_POLL_NS, STALL_NS, SocketTransport, 
 
 pytestmark = pytest.mark.wall_clock
 
+CORES = os.sched_getaffinity(0)  # before any session
 SMALL = ("reference_games=1", "command=[tcsc]", "t_move_s=[0.1]", "rounds=[1]", "games=2", "clock_speed=[50]")
 
 
@@ -152,9 +153,8 @@ def test_a_long_command_is_no_silence_of_a_dead_server(monkeypatch: pytest.Monke
 
 def test_a_short_stop_is_seen_and_counted_once() -> None:
     """The simulation loses nothing then, and says nothing: only the client knows."""
-    cores = os.sched_getaffinity(0)
     with WallSession("blocks", "native") as session:
-        assert os.sched_getaffinity(0) | os.sched_getaffinity(session.server.pid) == cores
+        assert os.sched_getaffinity(0) | os.sched_getaffinity(session.server.pid) == CORES
         client = session.start_game(50.0)
         sent = client.transport
         stop(session.server.pid)
@@ -167,7 +167,7 @@ def test_a_short_stop_is_seen_and_counted_once() -> None:
         sent.stalled_ns = 10**18
         assert session.start_game(50.0).transport.stalled_ns < 10**18, "a game counts its own"
         assert client.speed()["lost_wall_ns"] == 0
-    assert os.sched_getaffinity(0) == cores, "its own core is left to others again"
+    assert os.sched_getaffinity(0) == CORES, "its own core is left to others again"
 
 
 def stop(pid: int) -> None:

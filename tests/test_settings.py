@@ -40,9 +40,9 @@ def test_what_is_honoured(tmp_path: Path) -> None:
     assert settings.recorder_of(NATIVE).recorder_ticks == 50
     assert sorted(settings.without_effect()) == ["ViewMode"]
     assert json.loads(settings.as_json(2.5)) == USUAL | {"ClockSpeed": 2.5}, "what clients are told"
-    swarm = {"ViewMode": "", "Vehicles": {name: {"Sensors": {"l": {"SensorType": 6, "Rage": 9}}} for name in "ABC"}}
-    told = read(tmp_path, swarm).warning(None)
-    assert told.endswith(": without effect here: ViewMode, Vehicles.A.Sensors.l.Rage and 2 more")
+    swarm = {name: {"Sensors": {"l": {"SensorType": 6, "Rage": 9}}} for name in "ABC"}
+    told = read(tmp_path, {"Vehicles": swarm, "Recording": {"Cameras": [{}, {"Zoom": 2}]}}).warning(None)
+    assert told.endswith(": without effect here: Recording.Cameras.1.Zoom, Vehicles.A.Sensors.l.Rage and 2 more")
 
 
 def test_defaults_are_airsims(tmp_path: Path) -> None:

@@ -142,9 +142,15 @@ def test_a_task_of_ones_own_judges_each_drone() -> None:
     [
         ({"drones": 1}, r"^Swarm: drones = 1: "),
         ({"command": "adsc"}, r"command = 'adsc': several drones fly with 'tcsc' alone"),
+        ({"profile": "airsim"}, "profile = 'airsim'"),
         ({"history": 2}, r"history = 2: several drones fly with 1 alone"),
-        ({"observation": "colour", "image_noise": 2.0}, r"image_noise = 2.0: several drones fly with 0.0 alone"),
-        ({"observation": "dvs", "list_events": True}, r"list_events = True: several drones fly with False alone"),
+        *(
+            ({"observation": "dvs", key: value}, f"{key} = {value}: several drones fly with .* alone")
+            for key, value in (
+                *(("image_noise", 2.0), ("dvs_shot_noise_hz", 1.0), ("dvs_leak_hz", 1.0), ("dvs_rate_hz", 100.0)),
+                *(("blank_images", True), ("list_events", True), ("report_host_times", True)),
+            )
+        ),
         ({"timing": "virtual"}, r"timing = 'virtual'"),
         ({"t_move_s": 0.4}, "t_sample_s equal to t_move_s"),
         ({"drone": 3}, "unknown key 'drone'"),

@@ -293,7 +293,6 @@ class SampledAhead(LaneGames):
         """Sample the games of the states that `get_states` returned again."""
         self._send([row for lane, state in enumerate(states) for row in self._drawn_again(lane, state)])
         self.begun.copy_(th.tensor([int(state["flown"]) + 1 for state in states]))
-        self.available.copy_(th.tensor([int(state["written"]) for state in states]))
 
     def _drawn_again(self, lane: int, state: Mapping[str, Any]) -> list[int]:
         generator = self._generators[lane] = seeding.np_random(0)[0]
