@@ -306,7 +306,8 @@ def refuse_other_config(path: Path, config: Config, may_grow: Mapping[str, str])
         raise UserError(f"{path}: {', '.join(said)}, and a run that goes on can only have more; leave it out to go on")
     if left := [key for key in other if key not in grown]:
         said = [f"{key} ({there.get(key, 'unset')} there, {here.get(key, 'unset')} here)" for key in left]
-        raise UserError(f"{path}: has another configuration: {', '.join(said)}; take another --out")
+        own = "name no experiment and no key to go on with its own, or take another --out"
+        raise UserError(f"{path}: has another configuration: {', '.join(said)}; {own}")
     if kept := [key for key in grown if may_grow[key]]:
         said = [f"{key} = {here[key]}: {there[key]} were asked for before, and {may_grow[key]}" for key in kept]
         raise UserError(f"{path}: {', '.join(said)}; leave it out, or take another --out to begin anew")
