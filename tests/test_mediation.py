@@ -213,6 +213,8 @@ def test_a_part_of_a_loss_is_a_share_with_an_interval_over_trainings_and_lanes(m
     seeds = {"a/usual": cell(lanes >= 0), "b/whole": cell(lanes < 0, lanes >= 0), "c/part": cell(lanes % 2)}
     apart: dict[str, Any] = share_of_loss(seeds, Share(usual="a/usual", whole="b/whole", parts=()), "c/part")
     assert (apart["share"], apart["low"]) == (1.0, None)  # the other training loses nothing
+    few = {name: cell(*(values[:6] for values in own.won)) for name, own in cells.items()}  # some draws lose nothing
+    assert share_of_loss(few, share, "a/part")["low"] == 0.0
 
 
 def test_an_effect_is_that_of_one_factor_over_all_cells_of_the_others() -> None:

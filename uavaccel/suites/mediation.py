@@ -377,6 +377,7 @@ def share_of_loss(cells: Mapping[str, pd.DataFrame], share: Share, part: str) ->
     resamples = [{policy: resampled(count) for policy, count in seeds.items()} for _ in range(RESAMPLES)]
     drawn = np.array([losses(chosen, resampled(lanes)) for chosen in resamples])
     known = whole > 0.0 and np.quantile(drawn[:, 0], TAILS[0]) > 0.0
+    drawn = drawn[drawn[:, 0] > 0.0]  # of few games some may lose nothing
     low, high = np.quantile(drawn[:, 1] / drawn[:, 0], TAILS) if known else (None, None)
     return {"loss": whole, "alone": alone, "share": alone / whole if whole > 0.0 else None, "low": low, "high": high}
 
