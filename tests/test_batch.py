@@ -82,6 +82,46 @@ def test_a_mask_says_which_games_begin_anew(simulator: str) -> None:
                 batch.reset(options={"reset_mask": wrong})
 
 
+@pytest.mark.parametrize("simulator", ["mujoco", "kernels"])
+def test_an_ended_game_is_not_flown_on(simulator: str) -> None:
+    """Without automatic resets it has to be reset; saved before one, it begins anew elsewhere too."""
+    keys: Any = {"simulator": simulator, "max_commands": 1}
+    action = np.full((2, 3), 0.5, np.float32)
+    with closing(uavaccel.make_vec("hover", 2, autoreset_mode="Disabled", **keys)) as batch:
+        batch.reset(seed=0)
+        batch.step(action)
+        batch.reset(options={"reset_mask": np.array([True, False])})
+        with pytest.raises(UserError, match=r"^step: the game of environment 1 has ended: .* reset_mask$"):
+            batch.step(action)
+    batches: Any = (uavaccel.make_vec("hover", 2, **keys) for _ in range(2))
+    saved, other = batches
+    with closing(saved), closing(other):
+        saved.reset(seed=0)
+        saved.step(action)
+        other.call_each("set_state", [(state,) for state in saved.call_each("get_state", [()] * 2)])
+        begun = [batch.step(action) for batch in (saved, other)]
+        assert begun[0][0].tolist() == begun[1][0].tolist()
+        assert [step[4]["commands"].tolist() for step in begun] == [[0, 0]] * 2
+
+
+@pytest.mark.parametrize("simulator", ["mujoco", "kernels"])
+def test_what_flies_is_not_asked_for_more(simulator: str) -> None:
+    """A second command, a reset or a saving would mix with the first."""
+    action = np.full((3, 3), 0.5, np.float32)
+    flying: Any = uavaccel.make_vec("hover", 3, simulator=simulator)
+    with closing(flying) as batch:
+        batch.reset(seed=0)
+        batch.step_async(action[1:], [1, 2])
+        asked = [
+            lambda: batch.step_async(action),
+            lambda: batch.reset(seed=0, options={"reset_mask": np.array([False, True, False])}),
+            lambda: batch.call_each("get_state", [()], [1]),
+        ]
+        for ask in asked:
+            with pytest.raises(BatchError, match="environment 1 is still flying"):
+                ask()
+
+
 @pytest.mark.parametrize("mode", ["SameStep", "NextStep"])
 def test_lanes_have_actions_of_several_numbers_and_nested_courses(mode: str) -> None:
     with closing(KernelBatch(Pair, 2, autoreset_mode=mode)) as batch, closing(Pair()) as one, closing(Pair()) as other:

@@ -361,10 +361,13 @@ def test_an_episodes_arrays_are_of_the_environments_spaces() -> None:
 
 @pytest.mark.slow
 def test_a_game_of_the_kernels_is_flown_again_by_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    run = evaluated(tmp_path / "run", "simulator=kernels", "task.max_commands=5")
+    keys = "simulator=kernels", "task.max_commands=5", "task.observation=depth", "task.also_state=true"
+    run = evaluated(tmp_path / "run", *keys)
     export(str(run.path), minari=tmp_path / "kernels-v1")
     dataset = load(tmp_path / "kernels-v1", monkeypatch)
-    assert dataset.observation_space.dtype == np.float32
+    for name, part in dataset[0].observations.items():
+        assert part.shape == (len(dataset[0].actions) + 1, *dataset.observation_space[name].shape)
+        assert (np.diff(part.reshape(len(part), -1), axis=0) != 0).any(axis=1).all()
     assert [episode.actions.tolist() for episode in dataset.iterate_episodes()] == [
         row["actions"] for row in run.rows()
     ]

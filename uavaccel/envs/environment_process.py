@@ -101,6 +101,17 @@ class BatchError(RuntimeError):
     """An environment of a batch failed, or its process has ended."""
 
 
+def still_flying(slot: int) -> BatchError:
+    """Return the error for a request to an environment whose last answer was not taken."""
+    return BatchError(f"environment {slot} is still flying: take its last answer before you ask for more")
+
+
+def ended(slot: int) -> UserError:
+    """Return the error for a step in an ended game that no autoreset follows."""
+    what = f"the game of environment {slot} has ended: with autoreset_mode = Disabled, reset it by option reset_mask"
+    return UserError(f"step: {what}")
+
+
 class EnvironmentProcesses:
     """`slots` environments distributed over `processes` processes; raises BatchError if one ends or hangs."""
 
@@ -151,7 +162,7 @@ class EnvironmentProcesses:
         if not self._connections:
             raise self._ended(slot)
         if self._asked[slot]:
-            raise BatchError(f"environment {slot} is still flying: take its last answer before you ask for more")
+            raise still_flying(slot)
         try:
             self._connections[slot].send((method, arguments))
         except OSError:
@@ -289,23 +300,24 @@ class Slot:
         self, environment: type[FlightEnv[Any]], options: Options, shared: SharedObservations, number: int
     ) -> None:
         self._environment, self._autoreset = environment(**options["keys"]), AutoresetMode(options["autoreset"])
+        self._number = number
         self._seen, self._last = (select(each, number) for each in (shared.present, shared.last))
-        self._over = False
 
     def reset(self, seed: int | None, options: Mapping[str, object] | None) -> Info:
         """Begin a game and return its info; the observation goes into shared memory."""
         observation, info = self._environment.reset(seed=seed, options=options)
         assign(self._seen, ..., observation)
-        self._over = False
         return info
 
     def step(self, action: Action) -> tuple[float, bool, bool, Info, Info | None]:
         """Fly a command; returns reward, termination, truncation, info and, if it was reset, the last game's info."""
-        if self._over and self._autoreset == AutoresetMode.NEXT_STEP:
+        if self._environment.over and self._autoreset == AutoresetMode.NEXT_STEP:
             return 0.0, False, False, self.reset(None, None), None
+        if self._environment.over and self._autoreset == AutoresetMode.DISABLED:
+            raise ended(self._number)
         observation, reward, terminated, truncated, info = self._environment.step(action)
-        self._over, last = terminated or truncated, None
-        if self._over and self._autoreset == AutoresetMode.SAME_STEP:
+        last = None
+        if self._environment.over and self._autoreset == AutoresetMode.SAME_STEP:
             assign(self._last, ..., observation)
             last = info
             info = self.reset(None, None)
@@ -322,7 +334,6 @@ class Slot:
         result = attribute(*arguments) if callable(attribute) else attribute
         if name == "set_state":  # which returns the game's last observation
             assign(self._seen, ..., result)
-            self._over = False
         return result
 
     def set_attribute(self, name: str, value: object) -> None:

@@ -76,6 +76,8 @@ class FlightEnv(gymnasium.Env[Observation, Action], Generic[TaskT]):
         self.episode_task: TaskT = self.task
         """The task under the running game's conditions."""
         self._games = 0
+        self.over = False
+        """Whether the last step has ended the game."""
         self.render_mode = check_render_mode(render_mode)
         self.observation_space = self.task.observation_space()
         self.action_space = self.task.action_space()
@@ -107,6 +109,7 @@ class FlightEnv(gymnasium.Env[Observation, Action], Generic[TaskT]):
         self._games, self._flown = self._games + 1 if seed is None else 1, []
         self._begun, self._options = self._next_game(), options
         self._start_game(*sample_game(self.task, self.np_random, self._games - 1, options))
+        self.over = False
         return self._observation(), self._info()
 
     def step(self, action: Action) -> tuple[Observation, float, bool, bool, Info]:
@@ -127,7 +130,8 @@ class FlightEnv(gymnasium.Env[Observation, Action], Generic[TaskT]):
         success = self.task.success(self._now)
         terminated = success or self.task.failure(self._now)
         truncated = not terminated and self._now.commands >= self.task.max_commands
-        info = self._info() | (self._host_disturbances() if terminated or truncated else {})
+        self.over = bool(terminated or truncated)
+        info = self._info() | (self._host_disturbances() if self.over else {})
         check_reward(self.task, reward := self.task.reward(before, self._now))
         return self._observation(), reward, terminated, truncated, info
 

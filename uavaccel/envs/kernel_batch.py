@@ -20,7 +20,7 @@ from uavaccel.config import MOST_PROCESSES
 from uavaccel.envs.arrays import assign, each_of, mapped, named_leaves, select
 from uavaccel.envs.batch import Arguments, GameOptions, Seeds, Slots, TurnBatch, set_up
 from uavaccel.envs.checks import actions_of, whole_number
-from uavaccel.envs.environment_process import BatchError
+from uavaccel.envs.environment_process import BatchError, ended, still_flying
 from uavaccel.envs.flight_env import FlightEnv
 from uavaccel.envs.judging import Flown, Judge, Running
 from uavaccel.envs.kernel_games import Drawn, GameMaker, keys_of, plan_of, since_ns_of
@@ -69,7 +69,7 @@ class KernelBatch(TurnBatch):
         self._allocate()
         self._threads = min(usable_cores() if threads is None else threads, num_envs)
         self._pool = ThreadPoolExecutor(self._threads)
-        self._flying: dict[int, list[Future[None]]] = {}
+        self._flying: dict[tuple[int, ...], list[Future[None]]] = {}  # by the lanes of a command
         self._clock = MonotonicClock()
         self._generators: dict[int, np.random.Generator] = {}
         self._games = [0] * num_envs
@@ -108,9 +108,7 @@ class KernelBatch(TurnBatch):
 
     def reset_each(self, seeds: Seeds, options: GameOptions, slots: Slots = None) -> list[Info]:
         """As `TurnBatch` has it. Raises UserError where the first reset is not of all; BatchError once closed."""
-        if self.closed:
-            raise BatchError("this batch is closed")
-        which = range(self.num_envs) if slots is None else slots
+        which = self._all(slots).tolist()
         if len(which) < self.num_envs and not self._drawn:
             raise UserError("reset: option reset_mask: reset all environments first")
         for lane, seed in zip(which, seeds, strict=True):
@@ -131,23 +129,23 @@ class KernelBatch(TurnBatch):
 
     def step_async(self, actions: Actions, slots: Slots = None) -> None:
         """As `TurnBatch` has it. Raises UserError before the first reset; BatchError once closed."""
-        if self.closed:
-            raise BatchError("this batch is closed")
+        which = self._all(slots)
         if not self._drawn:
             raise UserError("reset the environments before their first step")
-        which = np.arange(self.num_envs) if slots is None else np.asarray(slots)
+        if not (self._same_step or self._next_step) and self._over[which].any():
+            raise ended(int(which[self._over[which]][0]))
         given = np.array(actions_of(self.single_action_space, actions, len(which)))
         if self._judge.discrete:
             self._asked[which] = given
         self._goals[which] = self._judge.goals(given, keys_of(self.task, [self._drawn[lane] for lane in which]))
         self._frames[which] = self._blank
         self._begun_ns = self._clock.now_ns()
-        self._flying[int(which[0])] = self._run(cpu.FLY, which[~self._over[which]], self._pictures)
+        self._flying[tuple(which.tolist())] = self._run(cpu.FLY, which[~self._over[which]], self._pictures)
 
     def step_wait(self, slots: Slots = None) -> Steps:
         """As `TurnBatch` has it. Raises UserError where no command was started."""
         which = np.arange(self.num_envs) if slots is None else np.asarray(slots)
-        flying = self._flying.pop(int(which[0]), None)
+        flying = self._flying.pop(tuple(which.tolist()), None)
         if flying is None:
             raise UserError("no command was started in these environments: step_async comes before step_wait")
         for part in flying:
@@ -172,8 +170,7 @@ class KernelBatch(TurnBatch):
     def _autoreset(self, idle: NDArray[np.int64], ended: NDArray[np.int64], infos: dict[int, Info]) -> None:
         """Begin games as `autoreset_mode` says, in lanes that waited or have just ended, and update their infos."""
         if len(idle):
-            renewed = self._renew(idle) if self._next_step else [{} for _ in idle]
-            infos.update(zip(idle.tolist(), renewed, strict=True))
+            infos.update(zip(idle.tolist(), self._renew(idle), strict=True))
         if self._same_step and len(ended):
             last = select(self._running.observations, ended)
             for place, (lane, info) in enumerate(zip(ended.tolist(), self._renew(ended), strict=True)):
@@ -202,7 +199,7 @@ class KernelBatch(TurnBatch):
         methods = {"charge": self.charge, "get_state": self._get_state, "set_state": self._set_state}
         if name not in methods:
             raise UserError(f"simulator = kernels: {name} is not available; use simulator = mujoco")
-        which = range(self.num_envs) if slots is None else slots
+        which = self._all(slots).tolist()
         return [methods[name](lane, *argument) for lane, argument in zip(which, arguments, strict=True)]  # type: ignore[operator]
 
     # --- saving -----------------------------------------------------------------------------------
@@ -236,6 +233,15 @@ class KernelBatch(TurnBatch):
         return arrays | named_leaves(self._running, "running") | {"over": self._over}
 
     # --- inside -----------------------------------------------------------------------------------
+
+    def _all(self, slots: Slots) -> NDArray[np.int64]:
+        """Return the lanes of `slots`. Raises BatchError once closed, and while one of them flies."""
+        if self.closed:
+            raise BatchError("this batch is closed")
+        which = np.arange(self.num_envs) if slots is None else np.array(slots, int)
+        if busy := {lane for lanes in self._flying for lane in lanes}.intersection(which.tolist()):
+            raise still_flying(min(busy))
+        return which
 
     def _run(self, asked: int, lanes: NDArray[np.int64], frames: Frame) -> list[Future[None]]:
         """Start what is `asked` of lanes (kernels/cpu), which are divided among the threads."""

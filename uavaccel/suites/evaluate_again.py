@@ -75,7 +75,7 @@ class OneOfKernels:
 
     def reset(self, *, seed: int, options: dict[str, Any]) -> tuple[Observation, Info]:
         info = self._batch.reset_each([seed], [options])[0]
-        return self._batch.observations()[0].copy(), info
+        return select(self._batch.observations(), 0), info
 
     def charge(self, duration_s: float) -> None:
         self._batch.charge(0, duration_s)
@@ -83,7 +83,7 @@ class OneOfKernels:
     def step(self, action: Action) -> tuple[Observation, float, bool, bool, Info]:
         self._batch.step_async(np.array([action]), [0])
         seen, rewards, terminated, truncated, infos = self._batch.step_wait([0])
-        return seen[0].copy(), float(rewards[0]), bool(terminated[0]), bool(truncated[0]), infos[0]
+        return select(seen, 0), float(rewards[0]), bool(terminated[0]), bool(truncated[0]), infos[0]
 
 
 class Recorded:
