@@ -7,7 +7,9 @@ in a change of it is to be read again.
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -581,6 +583,46 @@ def test_a_report_is_the_one_that_was_read(
     printed = [line.rstrip() for line in capsys.readouterr().out.splitlines() if not line.endswith((".png", ".html"))]
     text = "\n".join([report_text(report, drawn), "## printed", *printed, ""])
     assert_as_recorded(make.__name__, text.replace(str(tmp_path), "RUNS"))
+
+
+def ablation_in_bands(path: Path) -> Report:
+    """ADSC alone was flown at 1x, and the first variant not at all."""
+    flown = [row for row in variant_rows("late", "none") if row["variant"] == "late"]
+    return ablated(path, flown, "none", "late", band=True)
+
+
+def ablation_failed(path: Path) -> Report:
+    return ablated(path, [row | {"error": "crashed"} for row in variant_rows("late", "none")[:3]], "late", "none")
+
+
+def lane_in_wind(path: Path, won: int) -> Report:
+    row: Row = {"same": [], "successes": won, "games": 1, "timing": "virtual", "sim_time_s": 9.0, "condition": "wind"}
+    row |= {"case": "wind-3", "value": 3, "arrays": made.outcomes_of(np.array([won], bool))}
+    return run_of(path, Sweep(), configured("sweep", games=1, sweep={"wind": [3]}), [row])
+
+
+ENDS: tuple[tuple[Callable[[Path], Report], str], ...] = (
+    (ablation_in_bands, "ADSC at 10x: STLC 1.819 with late; TCSC at 10x: STLC 2.000 with late"),
+    (ablation_failed, "No variant has games to compare"),
+    (partial(lane_in_wind, won=1), "The policy that ships wins 100.0% at wind = 3"),
+    (partial(mapped, adsc1=[-1, 0.0, -1, -1]), "The policy that ships wins 0.0% with ADSC at 1x and latency ×1"),
+    (lambda path: made.rl(path, made.rl_rows("tcsc", 5.0, [[0]], variant="x")), "Variants alone win 2.5%"),
+    (lambda path: made.dp1(path, [line_row("game", "tcsc", 50.0, 0, 0.0)]), "1 game, none of them"),
+    (
+        lambda path: made.realtime(path, *(thinking_row("naive", "adsc", s, 1.0, 5.0) for s in (0.0, 0.05))),
+        "Pendulum, naive: return 5 (95 % interval 4 to 6.5) with 0 ms to think, ADSC at 1x; pendulum, naive: return 5 "
+        "(95 % interval 4 to 6.5) with 50 ms to think, ADSC at 1x",
+    ),
+)
+
+
+@pytest.mark.parametrize(("make", "said"), ENDS)
+def test_what_little_a_run_has_is_reported(make: Callable[[Path], Report], said: str, tmp_path: Path) -> None:
+    report = make(tmp_path / "run")
+    report.write()
+    assert report.headline().startswith(said)
+    page = (tmp_path / "run/report.md").read_text().partition("config.yaml")[0]
+    assert not re.search(r"\bnan\b|(?<![\d.,])1 (games|lanes|trainings|points|conditions|seeds)\b", page)
 
 
 def rl_exact(path: Path) -> Report:

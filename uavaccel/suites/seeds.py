@@ -15,7 +15,7 @@ from pydantic import Field, model_validator
 from typing_extensions import TypedDict
 
 from uavaccel.config import MOST_SEEDS, Games, Seed
-from uavaccel.draw.page import Block, Column, Table, fill, listed
+from uavaccel.draw.page import Block, Column, Table, counted, fill, listed
 from uavaccel.envs.flight_env import FlightEnv
 from uavaccel.envs.task import Task
 from uavaccel.forms import Count, Number
@@ -160,7 +160,7 @@ class Seeds(SuiteOfRuns[SeedsConfig, SeedCase]):
         return {"suite": self.name, **conditions, **seeds, "trainings": trainings, "over_seeds": over_seeds}
 
     def title(self, report: Report) -> str:
-        return f"Training, {report.config.training.algorithm}, {len(report.games)} seeds"
+        return f"Training, {report.config.training.algorithm}, {counted(len(report.games), 'seed')}"
 
     def headline(self, report: Report) -> str:
         over, count = report.summary["over_seeds"], len(report.games)
@@ -170,19 +170,19 @@ class Seeds(SuiteOfRuns[SeedsConfig, SeedCase]):
 
     def source(self, report: Report) -> str:
         seeds = listed(training["seed"] for training in report.summary["trainings"])
-        games = f"{report.config.training.games} games each"
+        games = f"{counted(report.config.training.games, 'game')} each"
         return f"{timing_provenance(report.config.task.timing)} · {games} · seeds {seeds}"
 
     def overview(self, report: Report) -> Table:
         over = report.summary["over_seeds"]
-        header = f"of {len(report.games)} seeds", "mean [95 % over seeds]", "least to most"
+        header = f"of {counted(len(report.games), 'seed')}", "mean [95 % over seeds]", "least to most"
         spans = {name: fill(SPAN[name], found) for name, found in over.items()}
         return Table(header, [(QUANTITIES[name], fill(MEAN[name], over[name]), span) for name, span in spans.items()])
 
     def page(self, report: Report) -> Iterator[Block | str]:
         yield self.overview(report)
         reports = [self.training.report(part_run(report.run, row["case"])) for row in report.rows]
-        seen = f"Success, return and length of {len(reports)} trainings: {self.headline(report)}"
+        seen = f"Success, return and length of {counted(len(reports), 'training')}: {self.headline(report)}"
         caption = f"{train.OVER_GAMES} {WHAT_BANDS_ARE}"
         figure = train.curves_figure("games", reports)
         yield report.figure("learning_games", figure, caption, f"{seen}, over the games.")
