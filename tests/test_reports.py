@@ -597,7 +597,8 @@ def ablation_failed(path: Path) -> Report:
 
 def lane_in_wind(path: Path, won: int) -> Report:
     row: Row = {"same": [], "successes": won, "games": 1, "timing": "virtual", "sim_time_s": 9.0, "condition": "wind"}
-    row |= {"case": "wind-3", "value": 3, "arrays": made.outcomes_of(np.array([won], bool))}
+    row |= {"case": "wind-3", "value": 3, "distance_m_median": 9.0}
+    row["arrays"] = made.outcomes_of(np.array([won], bool))
     return run_of(path, Sweep(), configured("sweep", games=1, sweep={"wind": [3]}), [row])
 
 
