@@ -543,11 +543,11 @@ def test_the_machines_clock_is_held_against_the_simulated_one(tmp_path: Path, dr
     assert not told, "in either order"
 
 
-def seeds(path: Path) -> Report:
+def seeds(path: Path, of: Sequence[tuple[int, int, float]] = ((7, 1, 2.0), (8, 2, 4.0), (9, 0, 6.0))) -> Report:
     """Student's interval with 2 degrees of freedom: 4.302653 standard errors."""
-    plain = {"seed": 7, "seeds": 3, "training": tiny_config(made.STATE, mirror=False).model_dump(mode="json")}
+    plain = {"seed": 7, "seeds": len(of), "training": tiny_config(made.STATE, mirror=False).model_dump(mode="json")}
     rows = []
-    for seed, wins, returned in ((7, 1, 2.0), (8, 2, 4.0), (9, 0, 6.0)):
+    for seed, wins, returned in of:
         row: Row = {"case": f"seed{seed}", "seed": seed, "games": 400, "successes": wins, "sim_time_s": 48.0}
         row |= {"success_recent": 0.5, "return_recent": returned, "commands_recent": 12.0}
         rows.append(row | {"evaluation": {"lanes": 2, "successes": wins}, "weights_sha256": f"{seed}" * 64})
@@ -609,6 +609,7 @@ ENDS: tuple[tuple[Callable[[Path], Report], str], ...] = (
     (partial(mapped, adsc1=[-1, 0.0, -1, -1]), "The policy that ships wins 0.0% with ADSC at 1x and latency ×1"),
     (lambda path: made.rl(path, made.rl_rows("tcsc", 5.0, [[0]], variant="x")), "Variants alone win 2.5%"),
     (lambda path: made.dp1(path, [line_row("game", "tcsc", 50.0, 0, 0.0)]), "1 game, none of them"),
+    (partial(seeds, of=[(7, 1, 2.0)]), "Evaluation lanes won after the last game: 50.0% [9.5%, 90.5%], one seed"),
     (
         lambda path: made.realtime(path, *(thinking_row("naive", "adsc", s, 1.0, 5.0) for s in (0.0, 0.05))),
         "Pendulum, naive: return 5 (95 % interval 4 to 6.5) with 0 ms to think, ADSC at 1x; pendulum, naive: return 5 "
@@ -622,8 +623,13 @@ def test_what_little_a_run_has_is_reported(make: Callable[[Path], Report], said:
     report = make(tmp_path / "run")
     report.write()
     assert report.headline().startswith(said)
-    page = (tmp_path / "run/report.md").read_text().partition("config.yaml")[0]
+    page = (report.run.path / "report.md").read_text().partition("config.yaml")[0]
     assert not re.search(r"\bnan\b|(?<![\d.,])1 (games|lanes|trainings|points|conditions|seeds)\b", page)
+
+
+def test_a_single_seed_tells_nothing_of_the_return_of_others(tmp_path: Path) -> None:
+    found = seeds(tmp_path / "run", of=[(7, 1, 2.0)]).summary["over_seeds"]["return_recent"]
+    assert (found["mean"], found["low"], found["high"]) == (2.0, None, None)
 
 
 def rl_exact(path: Path) -> Report:

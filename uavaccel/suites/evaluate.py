@@ -428,8 +428,9 @@ def against(run: RunDirectory, other: RunDirectory) -> str:
     first, second = [won[case] for case in theirs], list(theirs.values())
     paired = Success.on_lanes([first]).difference(Success.on_lanes([second]))
     points = "{:+.1f} [{:+.1f}, {:+.1f}]".format(*(100 * each for each in paired))
+    flown = counted(len(theirs), "lane" if worlds_of(config)[0] == LANE else "game")
     return (
-        f"against {other.path} on the same {len(theirs)} {'lanes' if worlds_of(config)[0] == LANE else 'games'}: "
+        f"against {other.path} on the same {flown}: "
         f"{sum(first)} v {sum(second)} successes, {points} points, "
         f"exact McNemar p = {mcnemar_exact(first, second).p_value:.3g}"
     )
