@@ -87,7 +87,7 @@ def test_survival_reaches_to_the_lanes_end() -> None:
 
 def test_words_and_colours_of_all_figures() -> None:
     assert [page.clock_label(clock) for clock in (1.0, 1.5, 100.0)] == ["1x", "1.5x", "100x"]
-    assert [page.rounds_label(rounds) for rounds in (1, 2, 24)] == ["1 round", "2 rounds", "24 rounds"]
+    assert [page.counted(rounds, "round") for rounds in (1, 2, 24)] == ["1 round", "2 rounds", "24 rounds"]
     assert page.command_name("adsc") == "ADSC"
     assert len(set(style.CYCLE)) == len(style.CYCLE)
     assert not set(style.CYCLE) & set(style.COMMAND_COLOUR.values()), "the commands' colours mean nothing else"

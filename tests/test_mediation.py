@@ -210,11 +210,12 @@ def test_a_part_of_a_loss_is_a_share_with_an_interval_over_trainings_and_lanes(m
     assert share_of_loss(cells, share, "a/none")["share"] == 0.0
     nothing = share_of_loss(cells, Share(usual="a/usual", whole="a/none", parts=()), "a/part")
     assert (nothing["share"], nothing["low"], nothing["high"]) == (None, None, None)
+    few = {"a/usual": cell(lanes[:10] >= 0), "a/whole": cell(lanes[:10] > 3)}  # some resamples lose nothing
+    some: dict[str, Any] = share_of_loss(few, share, "a/whole")
+    assert (some["share"], some["low"], some["high"]) == (1.0, 1.0, 1.0)
     seeds = {"a/usual": cell(lanes >= 0), "b/whole": cell(lanes < 0, lanes >= 0), "c/part": cell(lanes % 2)}
     apart: dict[str, Any] = share_of_loss(seeds, Share(usual="a/usual", whole="b/whole", parts=()), "c/part")
     assert (apart["share"], apart["low"]) == (1.0, None)  # the other training loses nothing
-    few = {name: cell(*(values[:6] for values in own.won)) for name, own in cells.items()}  # some draws lose nothing
-    assert share_of_loss(few, share, "a/part")["low"] == 0.0
 
 
 def test_an_effect_is_that_of_one_factor_over_all_cells_of_the_others() -> None:

@@ -7,7 +7,9 @@ in a change of it is to be read again.
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -541,11 +543,11 @@ def test_the_machines_clock_is_held_against_the_simulated_one(tmp_path: Path, dr
     assert not told, "in either order"
 
 
-def seeds(path: Path) -> Report:
+def seeds(path: Path, of: Sequence[tuple[int, int, float]] = ((7, 1, 2.0), (8, 2, 4.0), (9, 0, 6.0))) -> Report:
     """Student's interval with 2 degrees of freedom: 4.302653 standard errors."""
-    plain = {"seed": 7, "seeds": 3, "training": tiny_config(made.STATE, mirror=False).model_dump(mode="json")}
+    plain = {"seed": 7, "seeds": len(of), "training": tiny_config(made.STATE, mirror=False).model_dump(mode="json")}
     rows = []
-    for seed, wins, returned in ((7, 1, 2.0), (8, 2, 4.0), (9, 0, 6.0)):
+    for seed, wins, returned in of:
         row: Row = {"case": f"seed{seed}", "seed": seed, "games": 400, "successes": wins, "sim_time_s": 48.0}
         row |= {"success_recent": 0.5, "return_recent": returned, "commands_recent": 12.0}
         rows.append(row | {"evaluation": {"lanes": 2, "successes": wins}, "weights_sha256": f"{seed}" * 64})
@@ -581,6 +583,53 @@ def test_a_report_is_the_one_that_was_read(
     printed = [line.rstrip() for line in capsys.readouterr().out.splitlines() if not line.endswith((".png", ".html"))]
     text = "\n".join([report_text(report, drawn), "## printed", *printed, ""])
     assert_as_recorded(make.__name__, text.replace(str(tmp_path), "RUNS"))
+
+
+def ablation_in_bands(path: Path) -> Report:
+    """ADSC alone was flown at 1x, and the first variant not at all."""
+    flown = [row for row in variant_rows("late", "none") if row["variant"] == "late"]
+    return ablated(path, flown, "none", "late", band=True)
+
+
+def ablation_failed(path: Path) -> Report:
+    return ablated(path, [row | {"error": "crashed"} for row in variant_rows("late", "none")[:3]], "late", "none")
+
+
+def lane_in_wind(path: Path, won: int) -> Report:
+    row: Row = {"same": [], "successes": won, "games": 1, "timing": "virtual", "sim_time_s": 9.0, "condition": "wind"}
+    row |= {"case": "wind-3", "value": 3, "distance_m_median": 9.0}
+    row["arrays"] = made.outcomes_of(np.array([won], bool))
+    return run_of(path, Sweep(), configured("sweep", games=1, sweep={"wind": [3]}), [row])
+
+
+ENDS: tuple[tuple[Callable[[Path], Report], str], ...] = (
+    (ablation_in_bands, "ADSC at 10x: STLC 1.819 with late; TCSC at 10x: STLC 2.000 with late"),
+    (ablation_failed, "No variant has games to compare"),
+    (partial(lane_in_wind, won=1), "The policy that ships wins 100.0% at wind = 3"),
+    (partial(mapped, adsc1=[-1, 0.0, -1, -1]), "The policy that ships wins 0.0% with ADSC at 1x and latency ×1"),
+    (lambda path: made.rl(path, made.rl_rows("tcsc", 5.0, [[0]], variant="x")), "Variants alone win 2.5%"),
+    (lambda path: made.dp1(path, [line_row("game", "tcsc", 50.0, 0, 0.0)]), "1 game, none of them"),
+    (partial(seeds, of=[(7, 1, 2.0)]), "Evaluation lanes won after the last game: 50.0% [9.5%, 90.5%], one seed"),
+    (
+        lambda path: made.realtime(path, *(thinking_row("naive", "adsc", s, 1.0, 5.0) for s in (0.0, 0.05))),
+        "Pendulum, naive: return 5 (95 % interval 4 to 6.5) with 0 ms to think, ADSC at 1x; pendulum, naive: return 5 "
+        "(95 % interval 4 to 6.5) with 50 ms to think, ADSC at 1x",
+    ),
+)
+
+
+@pytest.mark.parametrize(("make", "said"), ENDS)
+def test_what_little_a_run_has_is_reported(make: Callable[[Path], Report], said: str, tmp_path: Path) -> None:
+    report = make(tmp_path / "run")
+    report.write()
+    assert report.headline().startswith(said)
+    page = (report.run.path / "report.md").read_text().partition("config.yaml")[0]
+    assert not re.search(r"\bnan\b|(?<![\d.,])1 (games|lanes|trainings|points|conditions|seeds)\b", page)
+
+
+def test_a_single_seed_tells_nothing_of_the_return_of_others(tmp_path: Path) -> None:
+    found = seeds(tmp_path / "run", of=[(7, 1, 2.0)]).summary["over_seeds"]["return_recent"]
+    assert (found["mean"], found["low"], found["high"]) == (2.0, None, None)
 
 
 def rl_exact(path: Path) -> Report:

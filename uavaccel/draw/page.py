@@ -19,9 +19,9 @@ def command_name(command: str) -> str:
     return command.upper()
 
 
-def rounds_label(rounds: int) -> str:
-    """Return a number of rounds with its noun: 1 round, 24 rounds."""
-    return f"{rounds} round" if rounds == 1 else f"{rounds} rounds"
+def counted(count: int | str, noun: str) -> str:
+    """Return a count, or several of them as text, with their noun: 1 round, 24 rounds, 1, 2 rounds."""
+    return f"{count} {noun}" if str(count) == "1" else f"{count} {noun}s"
 
 
 def clock_label(clock_speed: float) -> str:

@@ -23,8 +23,8 @@ from uavaccel.draw.page import (
     clock_label,
     command_at_clock,
     command_name,
+    counted,
     metres,
-    rounds_label,
     unknown,
 )
 from uavaccel.errors import UserError
@@ -211,7 +211,7 @@ class Dp1(PathSuite[Dp1Config, Game]):
             said.append(f"{name} {strays}" if same else f"At {clock:g}x {name} {strays}")
             speeds.append(f"{name} {plots.span(own.effective_speedup, '{:.3g}')}")
         if not said:
-            return f"{cells.games.sum()} games, none of them accelerated and comparable with real time"
+            return f"{counted(cells.games.sum(), 'game')}, none of them accelerated and comparable with real time"
         return f"{'. '.join(said)}. Speed-up over real time: {', '.join(speeds)}"
 
     def overview(self, report: Report) -> Table:
@@ -231,7 +231,7 @@ class Dp1(PathSuite[Dp1Config, Game]):
         for figure in (velocity_figure, trajectory_figure, trellis_figure, accuracy_figure, speedup_figure):
             yield figure(report)
         yield Heading("All cells")
-        yield plots.span_table(cells, CELL, COLUMNS, folded=f"{len(cells)} cells")
+        yield plots.span_table(cells, CELL, COLUMNS, folded=counted(len(cells), "cell"))
         yield method_note(READING)
 
 
@@ -369,7 +369,7 @@ def trajectory_figure(report: Report) -> Picture:
     flown = flown.assign(near=-(flown["rounds"] - 4).abs()).sort_values(["t_move_s", "near"], ascending=False)
     flown = flown.merge(flown.head(1)[PATH]).sort_values("stlc", ascending=False, kind="stable")
     if len(flown):
-        title += f", {rounds_label(flown['rounds'].iloc[0])}, T_move {flown.t_move_s.iloc[0]:g} s"
+        title += f", {counted(flown['rounds'].iloc[0], 'round')}, T_move {flown.t_move_s.iloc[0]:g} s"
     lines = [(game, "reference", REAL) for game in flown[flown.role == "reference"].head(1).to_dict("records")]
     for command, replicas in ("adsc", {"best": 0, "worst": -1}), ("tcsc", {"worst": -1}):
         games = flown[(flown.role == "game") & (flown.command == command)]
@@ -514,7 +514,7 @@ def speedup_figure(report: Report) -> Picture:
     """Draw Figure 6 from the cells with the most rounds: a panel per command, a line per T_move, the ideal dashed."""
     cells, scores = cells_of(report), finished(report.scores)
     rounds = cells["rounds"].max()
-    label, flown = rounds_label(rounds), scores[scores["rounds"] == rounds]
+    label, flown = counted(rounds, "round"), scores[scores["rounds"] == rounds]
     known = cells[(cells["rounds"] == rounds) & cells.effective_speedup.notna()].sort_values(["command", "clock_speed"])
     clocks, t_moves_s = (sorted(known[name].unique()) for name in ("clock_speed", "t_move_s"))
     title, nothing = f"Effective speed-up over ADSC at 1x, {label}", "no speed-up without ADSC games at 1x"

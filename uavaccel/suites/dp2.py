@@ -27,6 +27,7 @@ from uavaccel.draw.page import (
     Table,
     clock_label,
     command_name,
+    counted,
     metres,
     number,
     unknown,
@@ -321,7 +322,8 @@ class Dp2(PathSuite[Dp2Config, Game]):
                 where = off if error_m or events else "where it does at 1x, the same to the pixel"
                 at = f"at {clock_label(cell['clock_speed'])} {command_name(cell['command'])}"
                 said[cell["command"]] = f"{at} takes its images {where}"
-        return "; ".join(said.values()) or f"{len(report.games)} games, none of them accelerated and comparable with 1x"
+        games = counted(len(report.games), "game")
+        return "; ".join(said.values()) or f"{games}, none of them accelerated and comparable with 1x"
 
     def overview(self, report: Report) -> Table:
         columns: dict[str, Column] = {

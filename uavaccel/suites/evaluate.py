@@ -18,7 +18,7 @@ from typing_extensions import TypedDict
 
 from uavaccel.config import Cost, Games, KeyTree, Processes
 from uavaccel.draw import style
-from uavaccel.draw.page import Block, Heading, Movie, Table, command_at_clock, command_name, listed
+from uavaccel.draw.page import Block, Heading, Movie, Table, command_at_clock, command_name, counted, listed
 from uavaccel.envs.obstacle_lane import LaneTask
 from uavaccel.envs.simulators import (
     CUDA,
@@ -428,8 +428,9 @@ def against(run: RunDirectory, other: RunDirectory) -> str:
     first, second = [won[case] for case in theirs], list(theirs.values())
     paired = Success.on_lanes([first]).difference(Success.on_lanes([second]))
     points = "{:+.1f} [{:+.1f}, {:+.1f}]".format(*(100 * each for each in paired))
+    flown = counted(len(theirs), "lane" if worlds_of(config)[0] == LANE else "game")
     return (
-        f"against {other.path} on the same {len(theirs)} {'lanes' if worlds_of(config)[0] == LANE else 'games'}: "
+        f"against {other.path} on the same {flown}: "
         f"{sum(first)} v {sum(second)} successes, {points} points, "
         f"exact McNemar p = {mcnemar_exact(first, second).p_value:.3g}"
     )
@@ -444,7 +445,9 @@ def how_flown(config: EvaluateConfig) -> str:
 def source(reports: Sequence[Report]) -> str:
     """Return where the numbers of these evaluations come from."""
     how = " and ".join(sorted({how_flown(report.config) for report in reports}))
-    return source_of([f"{how} · {listed(sorted({len(report.games) for report in reports}))} games each"], reports)
+    return source_of(
+        [f"{how} · {counted(listed(sorted({len(report.games) for report in reports})), 'game')} each"], reports
+    )
 
 
 def survival_figure(reports: Sequence[Report]) -> Figure:
@@ -491,17 +494,17 @@ def lost_games(report: Report, lost: pd.DataFrame) -> Iterator[Block | str]:
     named = [f"{row.lane} ({row.distance_m:.1f} m, {row.end})" for row in lost.head(MOST_PANELS).itertuples()]
     more = [f"and {len(lost) - len(named)} more"] if len(lost) > len(named) else []
     yield Heading("Lost lanes")
-    yield f"Lost, the shortest flight first: lanes {', '.join([*named, *more])}. {SEEN}"
+    yield f"Lost, the shortest flight first: lane{'s' * (len(lost) > 1)} {', '.join([*named, *more])}. {SEEN}"
     drawn = lost[lost.path_m.notna()] if "path_m" in lost else lost.head(0)
     if len(drawn) and task.randomise is None:
         beyond = len(drawn) - MOST_PANELS
-        more_below = f" {beyond} more are in the table below." if beyond > 0 else ""
+        more_below = f" {beyond} more in the table below." if beyond > 0 else ""
         caption = f"Paths of the lost lanes, from above, by the positions at the ends of the commands.{more_below}"
         figure = lost_figure(report, drawn.head(MOST_PANELS))
         alt = f"Lanes from above with obstacles and the path flown: {', '.join(named)}."
         yield report.figure("lost_lanes", figure, caption, alt)
     columns = {"lane": "{lane}", "distance, m": "{distance_m:.1f}", **HOW_LOST}
-    yield Table.of(lost, columns, folded=f"{len(lost)} lost lanes")
+    yield Table.of(lost, columns, folded=counted(len(lost), "lost lane"))
 
 
 def lost_figure(report: Report, lost: pd.DataFrame) -> Figure:

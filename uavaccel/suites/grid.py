@@ -7,7 +7,7 @@ on the same lanes, each evaluation in a run directory of its own below the run's
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from copy import copy
 from dataclasses import dataclass, replace
@@ -30,6 +30,7 @@ from uavaccel.draw.page import (
     clock_label,
     command_at_clock,
     command_name,
+    counted,
     unknown,
 )
 from uavaccel.envs.conditions import SHORT_NAMES, Condition
@@ -51,6 +52,7 @@ from uavaccel.suites.report import Report, Summary, finished, method_note, table
 from uavaccel.suites.suite import GameResult, SimpleCase, Suite
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
     from uavaccel.wire.session import Session
@@ -264,13 +266,22 @@ def band_figure(config: AblationConfig, entries: pd.DataFrame) -> Figure:
         for command, own in entries.groupby("command"):
             look: style.LineStyle = {"color": style.COMMAND_COLOUR[str(command)]}
             by_clock, label_of = own.groupby("clock_speed")[column], f"{command_name(str(command))}, {first}"
-            axes.fill_between(range(len(clocks)), by_clock.min(), by_clock.max(), alpha=0.3, linewidth=0, **look)
-            line = own[own.variant == first].sort_values("clock_speed")
-            axes.plot(range(len(clocks)), line[column], marker="o", label=label_of, **look)
+            low, high = (ends.reindex(clocks) for ends in (by_clock.min(), by_clock.max()))
+            axes.fill_between(range(len(clocks)), low, high, alpha=0.3, linewidth=0, **look)
+            line = own[own.variant == first].set_index("clock_speed")[column].reindex(clocks)
+            axes.plot(range(len(clocks)), line, marker="o", label=label_of, **look)
         plots.clock_axis(axes, clocks)
         axes.set_title(label)
+    note_unknown(grid, entries)
     style.legend(figure)
     return figure
+
+
+def note_unknown(grid: Sequence[Axes], entries: pd.DataFrame) -> None:
+    """Say so in the panels of which no entry has a value."""
+    for axes, column in zip(grid, PANELS, strict=True):
+        if entries[column].isna().all():
+            style.note(axes, "no game to compare")
 
 
 def ablation_figure(config: AblationConfig, entries: pd.DataFrame) -> Figure:
@@ -296,7 +307,9 @@ def ablation_figure(config: AblationConfig, entries: pd.DataFrame) -> Figure:
             axes.xaxis.set_major_formatter("{x:g}")
     grid[1].set_xlabel(config.axis)
     grid[0].axhline(SIMILAR_STLC, **style.LIMIT)
-    plots.log_axis(grid[2], "y", "{:g}x")
+    if entries.effective_speedup.notna().any():
+        plots.log_axis(grid[2], "y", "{:g}x")
+    note_unknown(grid, entries)
     style.legend(figure, {f"alike above {SIMILAR_STLC:g}": style.LIMIT})
     return figure
 
@@ -517,16 +530,19 @@ class Sweep(PolicyGrid):
         """Return the success as trained, and the condition that costs most."""
         summary = report.summary
         games = flown_in(report.games)
-        said = [f"{cell['success_ratio']:.1%} of {cell['games']} {games} as trained" for cell in usual_of(summary)]
+        flown = [(cell["success_ratio"], counted(cell["games"], games[:-1])) for cell in usual_of(summary)]
+        said = [f"{ratio:.1%} of {lanes} as trained" for ratio, lanes in flown]
         if departed := [cell for cell in summary["cells"] if cell["condition"]]:
             worst = min(departed, key=lambda cell: float(cell["success_ratio"]))
             where = f"{worst['condition']} = {value_text(worst['value'])}"
-            said.append(f"{worst['success_ratio']:.1%} at {where}, the least of {len(departed)} conditions")
+            least = f", the least of {len(departed)} conditions" if len(departed) > 1 else ""
+            said.append(f"{worst['success_ratio']:.1%} at {where}{least}")
         return f"{report.config.who} wins {' and '.join(said)}"
 
     def source(self, report: Report) -> str:
         summary, games = report.summary, flown_in(report.games)
-        return f"{' and '.join(summary['provenance'])} · {summary[games]} {games} each · seed {summary['seed']}"
+        how, flown = " and ".join(summary["provenance"]), counted(summary[games], games[:-1])
+        return f"{how} · {flown} each · seed {summary['seed']}"
 
     def overview(self, report: Report) -> Table:
         games = flown_in(report.games)
@@ -671,12 +687,16 @@ class Robustness(PolicyGrid):
             f"{cell['success_ratio']:.1%} with {command_at_clock(cell)} and latency ×{cell['latency_scale']:g}"
             for cell in sorted(report.summary["cells"], key=lambda cell: float(cell["success_ratio"])) * 2
         ]
-        return f"{report.config.who} wins from {worst} to {best}"
+        span = f"from {worst} to {best}" if len(report.summary["cells"]) > 1 else best
+        return f"{report.config.who} wins {span}"
 
     def source(self, report: Report) -> str:
         cells, config = report.summary["cells"], report.config
-        lanes = f"{max(cell['games'] for cell in cells)} {flown_in(report.games)} each"
-        return f"modelled, profile {config.profile} · {len(cells)} points, {lanes} · seed {config.seed}"
+        points, lanes = (
+            counted(len(cells), "point"),
+            counted(max(c["games"] for c in cells), flown_in(report.games)[:-1]),
+        )
+        return f"modelled, profile {config.profile} · {points}, {lanes} each · seed {config.seed}"
 
     def overview(self, report: Report) -> Table:
         cells = pd.DataFrame(report.summary["cells"])
@@ -690,6 +710,8 @@ class Robustness(PolicyGrid):
             above, below = found["above"], found["below"]
             if found["real_time"] is None:
                 return "- (1x at the fitted latency was not flown)"
+            if not found["real_time"]:
+                return "- (nothing was won at 1x and the fitted latency)"
             if below is None:
                 return f"nowhere up to ×{above:g}"
             return f"at ×{below:g} or less" if above is None else f"between ×{above:g} and ×{below:g}"

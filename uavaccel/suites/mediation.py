@@ -17,7 +17,7 @@ from pydantic import Field, model_validator
 
 from uavaccel.config import Config, Games, Name, Seed
 from uavaccel.draw import style
-from uavaccel.draw.page import Block, Column, Heading, Picture, Table
+from uavaccel.draw.page import Block, Column, Heading, Picture, Table, counted
 from uavaccel.files import Plain
 from uavaccel.forms import Count
 from uavaccel.metrics.estimates import Success
@@ -285,11 +285,12 @@ class Mediation(SuiteOfRuns[MediationConfig, PolicyCase]):
         """Return the best and the worst cell."""
         worst, *_, best = sorted(report.summary["cells"], key=lambda cell: float(cell["success_ratio"])) * 2
         said = [f"{cell['success_ratio']:.1%} by {cell['policy']} in {cell['flight']}" for cell in (best, worst)]
-        return f"success is {' and '.join(said)}"
+        return f"success is {' and '.join(dict.fromkeys(said))}"
 
     def source(self, report: Report) -> str:
-        policies, games = len(report.games), report.games.games.iloc[0]
-        return f"modelled, without latency · {policies} policies, {games} games each · seed {report.config.seed}"
+        policies, games = len(report.games), counted(report.games.games.iloc[0], "game")
+        flown = f"1 policy, {games}" if policies == 1 else f"{policies} policies, {games} each"
+        return f"modelled, without latency · {flown} · seed {report.config.seed}"
 
     def overview(self, report: Report) -> Table:
         """Return what is asked for, or all cells."""
@@ -340,7 +341,7 @@ class Mediation(SuiteOfRuns[MediationConfig, PolicyCase]):
         """Draw success over the values of each factor, a panel each, a line for each policy."""
         cells = pd.DataFrame(report.summary["cells"])
         flights = {name: each for name, each in report.config.flights.items() if name in set(cells.factor)}
-        figure, panels = plots.panels(len(flights), self.title(report), 2.2, sharey=True)
+        figure, panels = plots.panels(len(flights), self.title(report), 2.2, empty="nothing was moved", sharey=True)
         for axes, (name, factor) in zip(panels, flights.items(), strict=True):
             for number, (policy, own) in enumerate(cells.groupby("policy", sort=False)):
                 line, usual = own[own.factor == name].sort_values("value"), own[own.flight == USUAL].iloc[0]

@@ -20,7 +20,7 @@ from pydantic import Discriminator, Field, field_validator, model_validator
 
 from uavaccel.config import CommandName, Config, Games, Seconds, Seed
 from uavaccel.draw import style
-from uavaccel.draw.page import Block, Heading, Table, listed
+from uavaccel.draw.page import Block, Heading, Table, counted, listed
 from uavaccel.errors import UserError, suggestion
 from uavaccel.forms import ArrayForm, Count, NotNegative, Number, Positive
 from uavaccel.own_code import errors_named, file_of, own_module
@@ -371,9 +371,11 @@ class Realtime(Suite[RealtimeConfig, Training]):
         return "Agents that need time to think"
 
     def headline(self, report: Report) -> str:
-        """Return up to which ClockSpeed each ranking at the middle latency holds, and whether TCSC's returns do."""
-        if len(report.summary["cells"]) == 1:
-            return told.cell_in_words(report.summary["cells"][0])
+        """Return up to which ClockSpeed each ranking at the middle latency holds, and whether TCSC's returns do.
+
+        Where nothing is compared, they are the returns of the first cell and of the last.
+        """
+        cells = report.summary["cells"]
         rankings, equal = report.summary["rankings"], report.summary["tcsc_equal_at_every_clock_speed"]
         rankings = [each for each in rankings if len(each["orders"][0]) > 1]
         latencies = sorted({each["latency_s"] for each in rankings})
@@ -382,11 +384,11 @@ class Realtime(Suite[RealtimeConfig, Training]):
         said = [f"with {1e3 * middle:g} ms to think, {'; '.join(said)}"] if said else []
         if equal is not None:
             said.append(f"under TCSC returns {'are the same to the bit' if equal else 'DIFFER'} at every ClockSpeed")
-        return "; ".join(said)
+        return "; ".join(said or dict.fromkeys(map(told.cell_in_words, (cells[0], cells[-1]))))
 
     def source(self, report: Report) -> str:
         cells = pd.DataFrame(report.summary["cells"])
-        counts = [f"{plots.span(cells[name], '{}')} {what}" for name, what in told.COUNTS.items()]
+        counts = [counted(plots.span(cells[name], "{}"), what) for name, what in told.COUNTS.items()]
         every = len({case.cell for case in _evaluations(report.config)})
         some = f" · {len(cells)} of {every} cells" if len(cells) < every else ""
         return f"{report.summary['provenance']} · {', '.join(counts)} a cell{some} · seed {report.summary['seed']}"

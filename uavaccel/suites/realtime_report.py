@@ -250,7 +250,7 @@ def agreement_figure(pairs: pd.DataFrame, source: str) -> Figure:
     return figure
 
 
-COUNTS = {"seeds": "trainings", "episodes": "episodes"}
+COUNTS = {"seeds": "training", "episodes": "episode"}
 RETURNS: dict[str, Column] = {
     "environment": "{environment}",
     "agent": "{agent}",

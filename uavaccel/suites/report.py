@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from uavaccel.config import dotted_keys, validate
 from uavaccel.draw import style
-from uavaccel.draw.page import KINDS, Heading, Listing, Paragraph, Picture, Table, fill, to_html, to_markdown
+from uavaccel.draw.page import KINDS, Heading, Listing, Paragraph, Picture, Table, counted, fill, to_html, to_markdown
 from uavaccel.errors import UserError
 from uavaccel.files import Plain, check_json, inside, read_bounded, replacing
 from uavaccel.records import RunDirectory, timing_provenance
@@ -171,7 +171,7 @@ def finished(games: Games) -> Games:
 def source_line(games: Games) -> str:
     """Return where the numbers of these games come from: clock, count, profile, seed, disturbances."""
     counts = games["timing"].value_counts().sort_index() if len(games) else {}
-    by_clock = [f"{clock_words(timing)}: {n} game{'s' if n > 1 else ''}" for timing, n in counts.items()]
+    by_clock = [f"{clock_words(timing)}: {counted(n, 'game')}" for timing, n in counts.items()]
     profiles = [f"{each} profile" for each in known(games, "profile")]
     seeds = [f"seed {each}" for each in known(games, "seed")]
     return " · ".join([*by_clock, *profiles, *seeds, *disturbed_words(games)])
@@ -210,13 +210,14 @@ def disturbed_words(games: Games) -> list[str]:
 def warnings(games: Games) -> Iterator[str]:
     """Yield what a reader of numbers of these games has to know: failures, and wall time lost by the machine."""
     if failed := len(games) - len(finished(games)):
-        yield f"Warning: {failed} games failed and are left out; rows.jsonl says why."
+        are = "is" if failed == 1 else "are"
+        yield f"Warning: {counted(failed, 'game')} failed and {are} left out; rows.jsonl says why."
     if lost_s := float(finished(games).get("lost_wall_s", pd.Series(dtype=float)).sum()):
         yield f"Warning: the machine could not keep up and lost {lost_s:.3f} s of wall time."
     for disturbed in disturbed_games(finished(games)).values():
         yield (
-            f"Warning: {disturbed} games were disturbed: they lost wall time, or their server stalled or was started "
-            "again; rows.jsonl says which."
+            f"Warning: {counted(disturbed, 'game')} disturbed, by wall time lost or a server that stalled or was "
+            "started again; rows.jsonl says which."
         )
 
 

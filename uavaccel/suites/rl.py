@@ -21,7 +21,18 @@ from typing_extensions import TypedDict
 from uavaccel.config import ClockSpeed, CommandName, Config, Games, NameOrNone, Seed
 from uavaccel.draw import style
 from uavaccel.draw.page import Block as PageBlock
-from uavaccel.draw.page import Column, Heading, Picture, Table, clock_label, command_name, fill, in_words, listed
+from uavaccel.draw.page import (
+    Column,
+    Heading,
+    Picture,
+    Table,
+    clock_label,
+    command_name,
+    counted,
+    fill,
+    in_words,
+    listed,
+)
 from uavaccel.envs.simulators import EXACT
 from uavaccel.envs.stopwatch import PHASES
 from uavaccel.errors import UserError
@@ -331,12 +342,15 @@ class Rl(SuiteOfRuns[RlConfig, TrainingCase]):
                 success = f"{cell['success_ratio']:.1%} after training at {clock_label(cell['clock_speed'])}"
                 plain.setdefault(panel_name(cell), []).append(success)
         said = [f"{name} wins {' and '.join(dict.fromkeys((each[0], each[-1])))}" for name, each in plain.items()]
-        return "; ".join(said) or collapse(over_gaps(report.summary["pooled"])).rstrip(".")
+        ratios = plots.span([cell["success_ratio"] for cell in report.summary["pooled"]], "{:.1%}")
+        of_variants = collapse(over_gaps(report.summary["pooled"])).rstrip(".") or f"variants alone win {ratios}"
+        return "; ".join(said) or of_variants
 
     def source(self, report: Report) -> str:
         cells, games = report.summary["cells"], report.summary["training_games"]
         lanes, clock = listed(sorted({cell["games"] for cell in cells})), report.summary["evaluation_clock_speed"]
-        flown = f"{len(cells)} trainings of {games} games, each policy flown on {lanes} lanes at {clock_label(clock)}"
+        trained = f"{counted(len(cells), 'training')} of {counted(games, 'game')}"
+        flown = f"{trained}, each policy flown on {counted(lanes, 'lane')} at {clock_label(clock)}"
         seeds = listed(sorted(report.games.seed.unique().tolist()))
         return f"modelled, but for the times of this machine · {flown} · seed {seeds}"
 
@@ -369,7 +383,8 @@ class Rl(SuiteOfRuns[RlConfig, TrainingCase]):
         if exact := summary["exact"]:
             yield Heading("The same policies in the exact simulator")
             lanes, same = (sum(policy[name] for policy in exact) for name in ("lanes", "same_end"))
-            yield f"Of {lanes} flights of a policy over a lane in real time {same} end alike in both, won or lost."
+            flights = counted(lanes, "flight")
+            yield f"Of {flights} of a policy over a lane in real time {same} end alike in both, won or lost."
             yield Table.of(exact, EXACT_TOO)
         yield Heading("Time of the training")
         took_s = {entry["case"]: entry["training_s"] for entry in report.timings if "training_s" in entry}
@@ -384,8 +399,9 @@ class Rl(SuiteOfRuns[RlConfig, TrainingCase]):
             clocks = listed(clock_label(clock) for clock in family["clock_speed"])
             seeds, equal = len(family["seeds"]), len(family["equal"])
             others = "one training each" if equal == seeds else f"{seeds - equal} learned others"
-            yield f"{panel_name(family)}: of {seeds} seeds {equal} learned the same weights at {clocks}: {others}."
-        yield Table.of(summary["cells"], TRAININGS, folded=f"{len(summary['cells'])} trainings")
+            of = f"{panel_name(family)}: of {counted(seeds, 'seed')} {equal}"
+            yield f"{of} learned the same weights at {clocks}: {others}."
+        yield Table.of(summary["cells"], TRAININGS, folded=counted(len(summary["cells"]), "training"))
         yield method_note(" ".join([WHAT_N_TELLS, *([WHAT_A_GAP_IS] if lines else []), HOW_TIME_IS_MODELLED]))
 
 
@@ -825,7 +841,7 @@ def time_saved(cells: pd.DataFrame) -> Iterator[str]:
     if len(both):
         real_s, took_s, games = both.real_time_s.sum(), both.machine_s.sum(), both.trained_games.sum()
         yield (
-            f"These trainings' {games} games would have taken {in_words(real_s)} in real time (modelled, "
+            f"These trainings' {counted(games, 'game')} would have taken {in_words(real_s)} in real time (modelled, "
             f"{real_s / games:.0f} s per game; the paper's 5 000 games took 182 hours, 131 s per game), and took "
             f"{in_words(took_s)} of this machine, measured, one after another: {real_s / took_s:.0f} times less."
         )

@@ -15,7 +15,7 @@ from pydantic import Field, model_validator
 from typing_extensions import TypedDict
 
 from uavaccel.config import MOST_SEEDS, Games, Seed
-from uavaccel.draw.page import Block, Column, Table, fill, listed
+from uavaccel.draw.page import Block, Column, Table, counted, fill, listed
 from uavaccel.envs.flight_env import FlightEnv
 from uavaccel.envs.task import Task
 from uavaccel.forms import Count, Number
@@ -135,8 +135,8 @@ class Seeds(SuiteOfRuns[SeedsConfig, SeedCase]):
     def summary(self, report: Report) -> Summary:
         """Return each training, and over the seeds each number's mean with a 95 % interval, and its range.
 
-        The intervals are Student's over seeds; those of success also cover its games, and its evaluation's the lanes,
-        which are the same for all (`Success.estimate`).
+        The intervals are Student's over seeds, None for a single one; those of success also cover its games, and its
+        evaluation's the lanes, which are the same for all (`Success.estimate`).
         """
         kept = [name for name in SeedRow.__annotations__ if name != "won" and name not in GameRow.__annotations__]
         trainings = [{name: row[name] for name in kept if name in row} for row in report.rows]
@@ -155,12 +155,15 @@ class Seeds(SuiteOfRuns[SeedsConfig, SeedCase]):
             name: {"mean": mean, "low": low, "high": high, "least": min(over[name]), "most": max(over[name])}
             for name, (mean, low, high) in estimates.items()
         }
+        if len(trainings) == 1:  # which say nothing of others
+            for name in ("return_recent", "commands_recent"):
+                over_seeds[name] |= {"low": None, "high": None}
         conditions = subset(vars(report.config.task), "profile", "command", "clock_speed", "timing")
         seeds = {"seed": report.config.seed, "seeds": len(trainings), "training_games": report.config.training.games}
         return {"suite": self.name, **conditions, **seeds, "trainings": trainings, "over_seeds": over_seeds}
 
     def title(self, report: Report) -> str:
-        return f"Training, {report.config.training.algorithm}, {len(report.games)} seeds"
+        return f"Training, {report.config.training.algorithm}, {counted(len(report.games), 'seed')}"
 
     def headline(self, report: Report) -> str:
         over, count = report.summary["over_seeds"], len(report.games)
@@ -170,19 +173,22 @@ class Seeds(SuiteOfRuns[SeedsConfig, SeedCase]):
 
     def source(self, report: Report) -> str:
         seeds = listed(training["seed"] for training in report.summary["trainings"])
-        games = f"{report.config.training.games} games each"
+        games = f"{counted(report.config.training.games, 'game')} each"
         return f"{timing_provenance(report.config.task.timing)} · {games} · seeds {seeds}"
 
     def overview(self, report: Report) -> Table:
         over = report.summary["over_seeds"]
-        header = f"of {len(report.games)} seeds", "mean [95 % over seeds]", "least to most"
+        header = f"of {counted(len(report.games), 'seed')}", "mean [95 % over seeds]", "least to most"
         spans = {name: fill(SPAN[name], found) for name, found in over.items()}
-        return Table(header, [(QUANTITIES[name], fill(MEAN[name], over[name]), span) for name, span in spans.items()])
+        forms = {name: ALONE if found["low"] is None else MEAN for name, found in over.items()}
+        means = {name: fill(forms[name][name], found) for name, found in over.items()}
+        return Table(header, [(QUANTITIES[name], means[name], span) for name, span in spans.items()])
 
     def page(self, report: Report) -> Iterator[Block | str]:
         yield self.overview(report)
         reports = [self.training.report(part_run(report.run, row["case"])) for row in report.rows]
-        seen = f"Success, return and length of {len(reports)} trainings: {self.headline(report)}"
+        of = f"Success, return and length of {len(reports)} trainings" if len(reports) > 1 else "Success of 1 training"
+        seen = f"{of}: {self.headline(report)}"
         caption = f"{train.OVER_GAMES} {WHAT_BANDS_ARE}"
         figure = train.curves_figure("games", reports)
         yield report.figure("learning_games", figure, caption, f"{seen}, over the games.")
@@ -209,6 +215,7 @@ QUANTITIES = {
 }
 _FORMS = {name: ".1%" if "success" in name else ".4g" for name in QUANTITIES}
 MEAN = {name: f"{{mean:{form}}} [{{low:{form}}}, {{high:{form}}}]" for name, form in _FORMS.items()}
+ALONE = {name: f"{{mean:{form}}}" for name, form in _FORMS.items()}
 SPAN = {name: f"{{least:{form}}} to {{most:{form}}}" for name, form in _FORMS.items()}
 TRAININGS: dict[str, Column] = {
     "seed": "{seed}",

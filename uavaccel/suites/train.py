@@ -15,7 +15,7 @@ from typing_extensions import TypedDict
 from uavaccel.config import MOST_GAMES, validate
 from uavaccel.config import Games as GameCount
 from uavaccel.draw import style
-from uavaccel.draw.page import Block, Column, Table, clock_label, command_name, fill, in_words, listed
+from uavaccel.draw.page import Block, Column, Table, clock_label, command_name, counted, fill, in_words, listed
 from uavaccel.envs.checks import check_functions
 from uavaccel.envs.simulators import EXACT, KERNELS, flies_over_arrays
 from uavaccel.envs.stopwatch import PHASES
@@ -387,7 +387,7 @@ def curves_figure(over: Literal["games", "wall clock"], reports: Sequence[Report
     figure, panels = plots.panels(len(shown), title, height_in, across=1, source=source, sharex=True)
     last_s = 0.0
     for number, (key, group) in enumerate(alike.items()):
-        more = f" and {len(group) - 1} more seeds: {OVER_SEEDS}" if len(group) > 1 else ""
+        more = f" and {counted(len(group) - 1, 'more seed')}: {OVER_SEEDS}" if len(group) > 1 else ""
         label = key if names else f"{_label(group[0])}, {group[0].run.path.name}{more}"
         colour = style.colour(number) if several else style.COMMAND_COLOUR[group[0].config.task.command]
         every = [list(range(1, len(report.games) + 1)) if by_games else wall_times(report) for report in group]
@@ -437,7 +437,7 @@ def draw_evaluated(axes: Axes, reports: Sequence[Report], every: Sequence[Sequen
             success = [Proportion(line["successes"], len(line["lanes"])) for line in flown]
             seeds.append(pd.Series(success, [ends[line["games"] - 1] for line in flown], dtype=object))
     ratios = [seed.map(lambda success: success.ratio) for seed in seeds]
-    lanes = f"evaluated on {seeds[0].iloc[0].games} lanes" if seeds else ""
+    lanes = f"evaluated on {counted(seeds[0].iloc[0].games, 'lane')}" if seeds else ""
     line = {"color": colour, "linestyle": "--", "marker": "o", "markersize": 4}
     if len(seeds) == 1:
         line |= {"linewidth": 1.0, "label": f"{lanes}, 95 % Wilson interval"}
@@ -501,7 +501,9 @@ def phases_figure(reports: Sequence[Report], trainings: pd.DataFrame) -> Figure:
     """Draw Figure 9: a bar of stacked phases per training, with the simulated seconds that a wall second brought."""
     clocks = {MODELLED if report.config.task.timing == "virtual" else BESIDE for report in reports}
     games, phases = listed(sorted({len(report.games) for report in reports})), trainings[list(PHASES)]
-    told = source_of([f"{' and '.join(sorted(clocks))} · {games} games"], reports) if len(reports) > 1 else ""
+    told = (
+        source_of([f"{' and '.join(sorted(clocks))} · {counted(games, 'game')}"], reports) if len(reports) > 1 else ""
+    )
     height_in = 0.6 + 0.55 * len(trainings)
     figure, [axes] = plots.panels(1, "Time of training by phase", height_in, source=told)
     notes = [f"{speed:.3g} simulated s\na wall s" for speed in trainings.speed]
