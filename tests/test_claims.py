@@ -247,7 +247,7 @@ TABLE: dict[str, tuple[list[dict[str, Any]], list[dict[str, Any]]]] = {
     "speedup_50x": ([dp1("tcsc", 100.0, effective_speedup=66.0)], []),
     "images_at_5x": ([dp2(k5=(0.051, 2.5)), dp2(k5=(0.03, 3.5))], [dp2(k5=(0.03, 3.15))]),
     "images_at_10x": ([dp2(k10=(0.04, 6.0)), dp2(k10=(0.06, 4.5))], [dp2(k10=(0.04, 5.25))]),
-    "images_beyond_10x": ([dp2(k100=(0.30, 20.0)), dp2(k50=(0.06, 1.0))], [dp2(k50=(0.06, 9.0))]),
+    "images_beyond_10x": ([dp2(k100=(0.30, 20.0)), dp2(k50=(0.06, 1.0)), dp2(k50=(0.0, 20.0))], [dp2(k50=(0.06, 9.0))]),
     "same_place_other_images": ([dp2(k50=(0.06, 5.0)), dp2(k100=(3.0, 5.0))], [dp2(k50=(0.06, 5.6))]),
     "guard_keeps_out": ([dp2(guard=(0.05, 0.05, 400))], [dp2(guard=(0.05, 0.04, 400))]),
     # A drop from 98.5 to 96.5 % is significant at n = 3 000, and no collapse.

@@ -115,9 +115,13 @@ def test_a_virtual_clock_jumps_the_machines_sleeps_long_enough() -> None:
         clock.sleep_until(deadline)
         assert clock.now_ns() >= deadline
     assert clock.now_ns() < start + 10**15
-    grain = timer_grain_ns(5)
-    assert (grain, len(grain)) == (sorted(grain), 5)
     assert calendar_time()[4] == "-"
+
+
+def test_the_grain_is_how_late_sleeps_of_100_us_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    told, slept_s = iter((0, 100_700, 200_000, 300_300)), list[float]()
+    monkeypatch.setattr("uavaccel.clock.time", SimpleNamespace(monotonic_ns=told.__next__, sleep=slept_s.append))
+    assert (timer_grain_ns(2), slept_s) == ([300, 700], [1e-4, 1e-4])
 
 
 def test_sockets_are_waited_for_until_the_deadline(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -196,6 +200,7 @@ def test_dates_of_another_clock_and_of_libraries_share_classes() -> None:
         assert moment - theirs == datetime.timedelta(0)
         assert pickle.loads(pickle.dumps(moment)) == deepcopy(moment) == plain
     assert isinstance(plain.date(), module.date)
+    assert not isinstance(module.date(1970, 1, 2), Holiday)
     assert not isinstance(plain.date(), module.datetime)
     assert not isinstance(3, module.date)
     assert not issubclass(datetime.date, module.datetime)

@@ -13,11 +13,13 @@ import pytest
 import torch as th
 
 from tests.learning import tiny_config, train_into
+from tests.running import configured
 from uavaccel.errors import UserError
 from uavaccel.records import RunDirectory
 from uavaccel.rl.config import LearnerConfig
 from uavaccel.rl.learner import find_checkpoint
 from uavaccel.rl.policy import MANIFEST, WEIGHTS, load_policy, trained_with
+from uavaccel.suites.evaluate import Evaluation
 from uavaccel.suites.train import CHECKPOINTS, TrainConfig
 
 pytestmark = pytest.mark.usefixtures("trainings_here")
@@ -172,9 +174,11 @@ def emptied_and_agreed(folder: Path) -> None:
 ])  # fmt: skip
 def test_a_damaged_policy_is_one_line(copy: Path, damage: Callable[[Path], Any], said: str) -> None:
     assert isinstance(load_policy(copy).config, LearnerConfig)
+    config = configured("evaluate", agent=str(copy))
     damage(copy)
-    with pytest.raises(UserError, match=said) as caught:
-        load_policy(copy)
+    for read in (lambda: Evaluation().provenance(config), lambda: load_policy(copy)):
+        with pytest.raises(UserError, match=said) as caught:
+            read()
     assert str(caught.value).startswith(f"{copy}")
     assert "\n" not in str(caught.value)
     assert not (copy / "sprung").exists(), "no code runs"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+from contextlib import nullcontext
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
@@ -18,7 +19,7 @@ from uavaccel.commands import COMMANDS, SynchronousCommand
 from uavaccel.config import validate
 from uavaccel.errors import UserError
 from uavaccel.records import RunDirectory
-from uavaccel.suites import dp1
+from uavaccel.suites import dp1, runner
 from uavaccel.suites.dp1 import Dp1, Dp1Config, Game
 from uavaccel.suites.experiment import disturbances
 from uavaccel.suites.path_suite import flight_row, fly_path
@@ -53,6 +54,14 @@ def game(command: str, t_move_s: float, rounds: int, **keys: Any) -> tuple[Any, 
 
 
 # --- the grid -----------------------------------------------------------------------------------------------
+
+
+def test_more_games_than_may_be_are_refused_and_none_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    config, count = config_of(), len(cases_of(config_of()))
+    for most in (count, count - 1):
+        monkeypatch.setattr(runner, "MOST_GAMES", most)
+        with pytest.raises(UserError, match=r"^more than") if most < count else nullcontext():
+            assert len(runner.cases_of(Dp1(), config)) == count
 
 
 def test_the_papers_grid_has_4800_games_and_79200_seconds() -> None:

@@ -221,7 +221,7 @@ def test_a_collision_ends_the_game_and_its_samples(command: str) -> None:
     assert row["collision"]["position_m"][0] == pytest.approx(row["distance_m"])
     assert (row["error"], row["commands"] < 12, row["planned_commands"]) == (None, True, 12)
     assert arrays["time_s"][-1] <= row["collision"]["time_s"] < arrays["time_s"][-1] + 0.5
-    assert len(arrays["image"]) == len(arrays["position_m"]) == row["samples"]
+    Dp2().form.check_arrays(arrays, row, "as many samples and commands as in the row")
     assert len(np.unique(arrays["position_m"][1:], axis=0)) == len(arrays["position_m"]) - 1
 
 

@@ -78,6 +78,15 @@ class Log(NamedTuple):
     schemas: dict[str, str]
 
 
+def outlined(value: Any) -> Any:
+    """The keys of a message, or those that its schema describes."""
+    if isinstance(value, dict) and "type" in value:
+        value = value.get("properties", [value["items"]] if "items" in value else None)
+    if isinstance(value, dict):
+        return {name: outlined(each) for name, each in value.items()}
+    return [outlined(value[0])] if isinstance(value, list) else None
+
+
 def read(path: Path) -> Log:
     messages: dict[str, list[tuple[int, Any]]] = {}
     schemas = {}
@@ -92,6 +101,7 @@ def read(path: Path) -> Log:
             last_ns = message.log_time
             assert message.publish_time == message.log_time
             assert schema.encoding == "jsonschema"
+            assert outlined(json.loads(message.data)) == outlined(json.loads(schema.data))
             schemas[channel.topic] = schema.name
             messages.setdefault(channel.topic, []).append((message.log_time, json.loads(message.data)))
         summary = reader.get_summary()

@@ -159,6 +159,17 @@ def test_a_policy_that_exists_has_one_flight_whatever_the_seed() -> None:
     assert cases == ["blind-seed3", "small-seed3", "brief-seed3", "small-seed4", "brief-seed4"]
 
 
+def test_flights_of_a_policy_are_known_unless_it_learns_elsewhere() -> None:
+    """And whether a run renders follows from those of its first policy."""
+    policies = "policies={blind: {agent: straight}, small: {}, hover: {experiment: hover_ppo}}"
+    config = small(policies, "shares=[]", "contrasts=[]")
+    runs = [[suite.name for suite, _ in Mediation().runs(config, case)] for case in Mediation().policies_of(config)]
+    assert runs == [["evaluate"] * 4, ["train", *["evaluate"] * 4], ["train"]]
+    for simulator in ("kernels", "mujoco"):
+        drawn = small(f"evaluation.keys={{simulator: {simulator}, task.timing: lockstep, task.observation: dvs}}")
+        assert Mediation().renders(drawn) is (simulator == "mujoco")
+
+
 @pytest.mark.parametrize("experiment", ["mediation", "mediation_flight", "mediation_law"])
 def test_shipped_mediations_can_be_flown(experiment: str) -> None:
     config = configured(experiment)

@@ -216,7 +216,10 @@ def test_a_task_of_other_functions_is_not_mirrored() -> None:
     [
         (Toy(), {"minibatches": 7}, "minibatches = 7: must divide the 256 samples"),
         (Toy(), {"minibatches": 256}, "minibatches = 256: must divide the 256 samples, 2 or more in each"),
-        (Toy(observation=spaces.Discrete(3)), {}, "observation 'seen': must be a picture"),
+        *(
+            (Toy(observation=space), {}, "observation 'seen': must be a picture")
+            for space in (spaces.Discrete(3), spaces.Box(0, 1, ()), spaces.Box(0, 1, (1, 2, 3, 3)))
+        ),
         (Toy(mirrored=Mirror((-1, 2), (1, 2))), {}, r"mirrored: fields = \[-1, 2\]: must be all places"),
         (Toy(mirrored=Mirror((-1,), (1, 1))), {}, r"mirrored: action = \[1, 1\]: must be all places"),
         (Toy(mirrored=((-1,), (1.0, 2.0))), {}, r"mirrored: action = \[1.0, 2.0\]: must be all places"),

@@ -21,8 +21,10 @@ import pytest
 
 from tests.golden import assert_as_recorded, numbers
 from tests.web_server import Server
+from uavaccel.clock import VirtualClock
 from uavaccel.errors import UserError
 from uavaccel.sim.camera.view import HEIGHT, WIDTH
+from uavaccel.units import NS_PER_S
 from uavaccel.watch import beside
 from uavaccel.watch import page as pages
 from uavaccel.watch import scene as scenes
@@ -271,7 +273,7 @@ def test_controls_are_those_of_the_flight_and_tell_its_player() -> None:
         buttons = [
             f"{controls[name].label}{' (off)' * controls[name].disabled}" for name in ("Pause", "Step", "Shown at")
         ]
-        player = f"held {source.held}, steps {source.steps}, pace {source.pace}"
+        player = f"held {source.held}, steps {source.steps}, pace {source.pace}, shown at {controls['Shown at'].value}"
         said.append(f"{begun}: {', '.join(buttons)}; {player}; looks at {opened.server.initial_camera.look_at}")
         said.append(f"  {opened.server.clocks()}")
 
@@ -296,6 +298,24 @@ def test_controls_are_those_of_the_flight_and_tell_its_player() -> None:
         opened.tell(MOMENT._replace(drones=[STATE._replace(pose=STATE.pose + 1.0)]))
         look(f"follow {follow}")
     assert_as_recorded("watch_controls", "\n".join([*said, ""]))
+
+
+def test_a_show_goes_on_by_the_machines_clock_but_for_flying_anew(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each update takes half a second, which is shown next, unless another flight has begun in it."""
+    clock, passed_s = VirtualClock(), list[float]()
+    monkeypatch.setattr(pages, "MonotonicClock", lambda: clock)
+
+    class Slow(Told):
+        def update(self, passed: float, seen: bool) -> Sequence[Moment]:
+            passed_s.append(passed)
+            if len(passed_s) == 5:
+                raise KeyboardInterrupt
+            clock.charge(NS_PER_S // 2)
+            return [MOMENT._replace(flight=len(passed_s) // 3)]
+
+    with pytest.raises(KeyboardInterrupt):
+        Opened("a", source=Slow).page.run()
+    assert passed_s == pytest.approx([1 / 30, 1 / 30, 0.5, 1 / 30, 0.5])
 
 
 def test_a_recorded_flight_is_scrubbed_by_spectators_alone() -> None:
