@@ -139,8 +139,8 @@ FIRST = (
 
 
 def pytest_xdist_auto_num_workers() -> int:
-    """One process more than cores: some tests wait for a browser, a timer or another process."""
-    return (os.cpu_count() or 1) + 1
+    """Two processes more than cores: some tests wait for a browser, a timer or another process."""
+    return (os.cpu_count() or 1) + 2
 
 
 def group_of(test: str) -> str:
