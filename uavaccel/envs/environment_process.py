@@ -106,7 +106,7 @@ def still_flying(slot: int) -> BatchError:
     return BatchError(f"environment {slot} is still flying: take its last answer before you ask for more")
 
 
-def ended(slot: int) -> UserError:
+def game_over(slot: int) -> UserError:
     """Return the error for a step in an ended game that no autoreset follows."""
     what = f"the game of environment {slot} has ended: with autoreset_mode = Disabled, reset it by option reset_mask"
     return UserError(f"step: {what}")
@@ -314,7 +314,7 @@ class Slot:
         if self._environment.over and self._autoreset == AutoresetMode.NEXT_STEP:
             return 0.0, False, False, self.reset(None, None), None
         if self._environment.over and self._autoreset == AutoresetMode.DISABLED:
-            raise ended(self._number)
+            raise game_over(self._number)
         observation, reward, terminated, truncated, info = self._environment.step(action)
         last = None
         if self._environment.over and self._autoreset == AutoresetMode.SAME_STEP:

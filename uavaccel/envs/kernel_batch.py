@@ -20,7 +20,7 @@ from uavaccel.config import MOST_PROCESSES
 from uavaccel.envs.arrays import assign, each_of, mapped, named_leaves, select
 from uavaccel.envs.batch import Arguments, GameOptions, Seeds, Slots, TurnBatch, set_up
 from uavaccel.envs.checks import actions_of, whole_number
-from uavaccel.envs.environment_process import BatchError, ended, still_flying
+from uavaccel.envs.environment_process import BatchError, game_over, still_flying
 from uavaccel.envs.flight_env import FlightEnv
 from uavaccel.envs.judging import Flown, Judge, Running
 from uavaccel.envs.kernel_games import Drawn, GameMaker, keys_of, plan_of, since_ns_of
@@ -108,7 +108,7 @@ class KernelBatch(TurnBatch):
 
     def reset_each(self, seeds: Seeds, options: GameOptions, slots: Slots = None) -> list[Info]:
         """As `TurnBatch` has it. Raises UserError where the first reset is not of all; BatchError once closed."""
-        which = self._all(slots).tolist()
+        which = self._standing(slots).tolist()
         if len(which) < self.num_envs and not self._drawn:
             raise UserError("reset: option reset_mask: reset all environments first")
         for lane, seed in zip(which, seeds, strict=True):
@@ -129,11 +129,11 @@ class KernelBatch(TurnBatch):
 
     def step_async(self, actions: Actions, slots: Slots = None) -> None:
         """As `TurnBatch` has it. Raises UserError before the first reset; BatchError once closed."""
-        which = self._all(slots)
+        which = self._standing(slots)
         if not self._drawn:
             raise UserError("reset the environments before their first step")
         if not (self._same_step or self._next_step) and self._over[which].any():
-            raise ended(int(which[self._over[which]][0]))
+            raise game_over(int(which[self._over[which]][0]))
         given = np.array(actions_of(self.single_action_space, actions, len(which)))
         if self._judge.discrete:
             self._asked[which] = given
@@ -144,7 +144,7 @@ class KernelBatch(TurnBatch):
 
     def step_wait(self, slots: Slots = None) -> Steps:
         """As `TurnBatch` has it. Raises UserError where no command was started."""
-        which = np.arange(self.num_envs) if slots is None else np.asarray(slots)
+        which = self._all(slots)
         flying = self._flying.pop(tuple(which.tolist()), None)
         if flying is None:
             raise UserError("no command was started in these environments: step_async comes before step_wait")
@@ -199,7 +199,7 @@ class KernelBatch(TurnBatch):
         methods = {"charge": self.charge, "get_state": self._get_state, "set_state": self._set_state}
         if name not in methods:
             raise UserError(f"simulator = kernels: {name} is not available; use simulator = mujoco")
-        which = self._all(slots).tolist()
+        which = self._standing(slots).tolist()
         return [methods[name](lane, *argument) for lane, argument in zip(which, arguments, strict=True)]  # type: ignore[operator]
 
     # --- saving -----------------------------------------------------------------------------------
@@ -235,10 +235,13 @@ class KernelBatch(TurnBatch):
     # --- inside -----------------------------------------------------------------------------------
 
     def _all(self, slots: Slots) -> NDArray[np.int64]:
+        return np.arange(self.num_envs) if slots is None else np.array(slots, int)
+
+    def _standing(self, slots: Slots) -> NDArray[np.int64]:
         """Return the lanes of `slots`. Raises BatchError once closed, and while one of them flies."""
         if self.closed:
             raise BatchError("this batch is closed")
-        which = np.arange(self.num_envs) if slots is None else np.array(slots, int)
+        which = self._all(slots)
         if busy := {lane for lanes in self._flying for lane in lanes}.intersection(which.tolist()):
             raise still_flying(min(busy))
         return which

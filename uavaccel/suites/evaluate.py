@@ -445,9 +445,8 @@ def how_flown(config: EvaluateConfig) -> str:
 def source(reports: Sequence[Report]) -> str:
     """Return where the numbers of these evaluations come from."""
     how = " and ".join(sorted({how_flown(report.config) for report in reports}))
-    return source_of(
-        [f"{how} · {counted(listed(sorted({len(report.games) for report in reports})), 'game')} each"], reports
-    )
+    games = counted(listed(sorted({len(report.games) for report in reports})), "game")
+    return source_of([f"{how} · {games} each"], reports)
 
 
 def survival_figure(reports: Sequence[Report]) -> Figure:

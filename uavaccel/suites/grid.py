@@ -529,8 +529,7 @@ class Sweep(PolicyGrid):
     def headline(self, report: Report) -> str:
         """Return the success as trained, and the condition that costs most."""
         summary = report.summary
-        games = flown_in(report.games)
-        flown = [(cell["success_ratio"], counted(cell["games"], games[:-1])) for cell in usual_of(summary)]
+        flown = [(cell["success_ratio"], lanes_or_games(cell["games"], report.games)) for cell in usual_of(summary)]
         said = [f"{ratio:.1%} of {lanes} as trained" for ratio, lanes in flown]
         if departed := [cell for cell in summary["cells"] if cell["condition"]]:
             worst = min(departed, key=lambda cell: float(cell["success_ratio"]))
@@ -541,7 +540,7 @@ class Sweep(PolicyGrid):
 
     def source(self, report: Report) -> str:
         summary, games = report.summary, flown_in(report.games)
-        how, flown = " and ".join(summary["provenance"]), counted(summary[games], games[:-1])
+        how, flown = " and ".join(summary["provenance"]), lanes_or_games(summary[games], report.games)
         return f"{how} · {flown} each · seed {summary['seed']}"
 
     def overview(self, report: Report) -> Table:
@@ -589,6 +588,11 @@ class Sweep(PolicyGrid):
 def flown_in(games: pd.DataFrame) -> str:
     """Return what evaluations have flown: lanes, or games of another environment, of which the returns are known."""
     return "games" if "return_mean" in games else "lanes"
+
+
+def lanes_or_games(count: int, games: pd.DataFrame) -> str:
+    """Return a number of what evaluations have flown with its noun: 1 lane, 300 lanes, 40 games."""
+    return counted(count, flown_in(games).removesuffix("s"))
 
 
 def usual_of(summary: Summary) -> list[Any]:
@@ -692,10 +696,7 @@ class Robustness(PolicyGrid):
 
     def source(self, report: Report) -> str:
         cells, config = report.summary["cells"], report.config
-        points, lanes = (
-            counted(len(cells), "point"),
-            counted(max(c["games"] for c in cells), flown_in(report.games)[:-1]),
-        )
+        points, lanes = counted(len(cells), "point"), lanes_or_games(max(c["games"] for c in cells), report.games)
         return f"modelled, profile {config.profile} · {points}, {lanes} each · seed {config.seed}"
 
     def overview(self, report: Report) -> Table:

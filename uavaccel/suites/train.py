@@ -501,9 +501,8 @@ def phases_figure(reports: Sequence[Report], trainings: pd.DataFrame) -> Figure:
     """Draw Figure 9: a bar of stacked phases per training, with the simulated seconds that a wall second brought."""
     clocks = {MODELLED if report.config.task.timing == "virtual" else BESIDE for report in reports}
     games, phases = listed(sorted({len(report.games) for report in reports})), trainings[list(PHASES)]
-    told = (
-        source_of([f"{' and '.join(sorted(clocks))} · {counted(games, 'game')}"], reports) if len(reports) > 1 else ""
-    )
+    how = f"{' and '.join(sorted(clocks))} · {counted(games, 'game')}"
+    told = source_of([how], reports) if len(reports) > 1 else ""
     height_in = 0.6 + 0.55 * len(trainings)
     figure, [axes] = plots.panels(1, "Time of training by phase", height_in, source=told)
     notes = [f"{speed:.3g} simulated s\na wall s" for speed in trainings.speed]
