@@ -2,6 +2,7 @@
 
     uavaccel run rl --jobs 4 --out runs/rl
     python -m tools.outcomes_by_lane runs/rl > docs/tables/rl_test_lanes.csv
+    python -m tools.outcomes_by_lane runs/rl exact > docs/tables/rl_exact.csv
 
 `won` has a 1 or a 0 for each lane, from `first_lane` of its split on; `ended_m`, of flights in real time with the
 command of the training, how far north each lost one ended, m. Seeds that are not complete are left out.
@@ -20,10 +21,12 @@ SAME = [name for name in KEY if name != "timing"] + ["seed", "with", "at"]
 COLUMNS = [*SAME, "first_lane", "won", "ended_m", "weights_sha256"]
 
 
-def main(path: str) -> None:
+def main(path: str, simulator: str = "kernels") -> None:
     run = open_run(path)
-    flights = where(flights_of(run.rows(), run.load_arrays), exact=False)
-    flights = flights.drop_duplicates(SAME).sort_values(SAME)
+    flights = flights_of(run.rows(), run.load_arrays)
+    # A policy's flights in the exact simulator are a row of their own, which has no training.
+    flights["weights_sha256"] = flights.groupby(SAME[:-2]).weights_sha256.transform("first")
+    flights = where(flights, exact=simulator == "exact").drop_duplicates(SAME).sort_values(SAME)
     lines = pd.DataFrame(map(by_lane, flights.to_dict("records")))
     count = lines.groupby("seed").size()
     lines[lines.seed.map(count) == count.max()][COLUMNS].to_csv(sys.stdout, index=False)
@@ -40,4 +43,4 @@ def by_lane(flight: dict[str, object]) -> dict[str, object]:
 
 
 if __name__ == "__main__":
-    main(sys.argv[1])
+    main(*sys.argv[1:])
