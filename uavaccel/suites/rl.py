@@ -224,11 +224,10 @@ class Rl(SuiteOfRuns[RlConfig, TrainingCase]):
         if not config.exact_seeds:
             return
         evaluation, exact = (self.runs(config, last[exact])[-1][1] for exact in (False, True))
-        if exact.simulator != EXACT or evaluation.simulator == EXACT:
-            raise UserError(
-                f"exact_seeds: needs exact.keys.simulator = {EXACT}, not {exact.simulator}, beside an evaluation by "
-                f"the kernels, not by {evaluation.simulator}; or exact_seeds = 0"
-            )
+        if exact.simulator != EXACT:
+            raise UserError(f"exact.keys.simulator = {exact.simulator}: exact_seeds needs {EXACT}")
+        if evaluation.simulator == EXACT:
+            raise UserError(f"evaluation.keys.simulator = {EXACT}: exact_seeds needs kernels; or exact_seeds = 0")
         flown = [(each.task.split, each.first_lane, each.games) for each in (exact, evaluation)]
         if flown[0] != flown[1]:
             raise UserError(
