@@ -182,7 +182,8 @@ def test_a_cell_learns_from_pictures(tmp_path: Path) -> None:
         (["exact.keys.games=3"], {}, r"exact\.keys: games, first_lane and task\.split must be those of evaluation"),
         (["exact.keys.first_lane=3"], {}, r"exact\.keys: games, first_lane and task\.split must be those"),
         (["exact.keys.task.split=test"], {}, r"exact\.keys: games, first_lane and task\.split must be those"),
-        (["evaluation.keys.simulator=mujoco"], {}, r"exact_seeds: needs .* beside an evaluation .* not by mujoco"),
+        (["evaluation.keys.simulator=mujoco"], {}, r"evaluation\.keys\.simulator = mujoco: exact_seeds needs kernels"),
+        (["exact.keys.simulator=kernels"], {}, r"exact\.keys\.simulator = kernels: exact_seeds needs mujoco"),
     ],
 )
 def test_cells_that_cannot_be_are_one_clear_line(overrides: list[str], options: dict[str, Any], said: str) -> None:
