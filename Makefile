@@ -26,10 +26,11 @@ help: ## list these targets
 run: setup ## fly the paper's square at 50x, measured, and write a report
 	$(BIN)/uavaccel run dp1 --clock 50
 
-# One core compiles kernels, which tests load, while another checks types.
+# One core compiles kernels, which tests load, while another checks types and compiles the tests.
 test: $(STAMP)-dev ## linter, types and tests
 	$(BIN)/ruff check .
-	$(BIN)/python -m tests.compile_kernels & $(BIN)/mypy; typed=$$?; wait && exit $$typed
+	$(BIN)/python -m tests.compile_kernels & $(BIN)/mypy; typed=$$?; \
+		$(BIN)/pytest -n0 --collect-only -qq >/dev/null; wait && exit $$typed
 	$(BIN)/pytest
 
 # The variable keeps the theme from advertising its successor.
