@@ -72,6 +72,9 @@ def policy_file(name: str) -> PolicyFile | None:
 class PolicyFile(ABC):
     """A file with a policy, which does not say what environment it was trained in."""
 
+    state: Any = None
+    """What has the `reset` of the policy that was loaded last, if it has one."""
+
     def __init__(self, name: str) -> None:
         self.name, self.file = name, Path(name)
 
@@ -90,25 +93,30 @@ class PolicyFile(ABC):
 def actions_of(answer: Any, count: int, space: Space, name: str) -> NDArray[Any]:
     """Return the actions in a network's answer (count, ...): vectors or, of discrete ones, numbers or ratings of each.
 
-    Vectors are clipped to the bounds of their space. Raises UserError for an answer of another shape.
+    Vectors are clipped to the bounds of their space. Raises UserError for an answer of another shape, and for numbers
+    between two actions.
     """
     answer = np.atleast_1d(np.asarray(answer))
+    if answer.dtype.kind not in "fiub":
+        raise UserError(f"{name}: gives {one_line(answer)}, where numbers are needed")
     if not np.isfinite(answer).all():
         raise UserError(f"{name}: gives numbers that are NaN or infinite")
     taken: NDArray[Any]
     if isinstance(space, spaces.Discrete):
         if answer.shape == (count, space.n) and space.n > 1:
             return np.asarray(answer.argmax(axis=1) + space.start)
-        answer = answer.reshape(len(answer), -1)[:, :1].ravel()
-        taken, last = answer.astype(np.int64), space.start + space.n - 1
-        fits = len(answer) == count and bool(((answer >= space.start) & (answer <= last)).all())
+        taken = answer.astype(np.int64).ravel()
+        fits = len(answer) == taken.size == count and bool((answer.ravel() == taken).all())
+        fits = fits and bool(((taken >= space.start) & (taken < space.start + space.n)).all())
     elif isinstance(space, spaces.Box):
         fits = answer.shape == (count, *space.shape)
         taken = np.asarray(np.clip(answer, space.low, space.high) if fits else answer, space.dtype)
     else:
         raise UserError(f"{name}: flies one of a number of actions, or a Box of them, not {space}")
     if not fits:
-        raise UserError(f"{name}: gives {answer.shape} numbers for {count} actions, each {form_of(space)}")
+        one_each = isinstance(space, spaces.Discrete) and answer.size == count
+        what = one_line(answer.ravel().tolist()) if one_each else f"{answer.shape} numbers"
+        raise UserError(f"{name}: gives {what} for {count} actions, each {form_of(space)}")
     return taken
 
 
@@ -319,7 +327,8 @@ class TorchScriptFile(PolicyFile):
             raise
         except Exception as error:  # a file from elsewhere may have anything in it
             raise UserError(f"{self.name}: is no TorchScript file: {one_line(error)}") from error
-        return module_policy(module.eval(), actions, self.name)
+        self.state = module.eval()
+        return module_policy(self.state, actions, self.name)
 
 
 def module_policy(module: Any, actions: Space, name: str) -> BatchPolicy:
