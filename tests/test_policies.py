@@ -189,7 +189,7 @@ def test_an_episode_begins_with_the_policys_reset_and_its_seed() -> None:
 class Memory(th.nn.Module):
     def __init__(self) -> None:
         super().__init__()
-        self.register_buffer("seen", th.zeros(1, 2))
+        self.seen = th.zeros(1, 2)
 
     def forward(self, seen: th.Tensor) -> th.Tensor:
         self.seen = self.seen + seen[:, :2]

@@ -121,9 +121,8 @@ def _found(name: str, env: Spaces, answer_s: float) -> Policy:
     function, code = own_function(name, f"policy {name!r}")
     if not takes(function, 1):
         raise UserError(f"policy {name!r}: must take an observation alone")
-
-    own = _OwnFunction(name, code, function)
-    return Policy(name, file_sha256(code), own, actions, own)
+    called = _OwnFunction(name, code, function)
+    return Policy(name, file_sha256(code), called, actions, called)
 
 
 @dataclass
