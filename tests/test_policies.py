@@ -66,6 +66,25 @@ def test_a_model_of_stable_baselines3_acts_in_any_environment(algorithm: str, en
         seen, *_ = env.step(action)
 
 
+PICTURE = spaces.Box(0, 255, (40, 40, 3), np.uint8)
+
+
+@pytest.mark.parametrize(
+    ("kind", "seen"),
+    [("Cnn", PICTURE), ("MultiInput", spaces.Dict({"picture": PICTURE, "at": REACH.observation_space}))],
+)
+def test_a_model_has_pictures_as_stable_baselines3_turns_them(kind: str, seen: spaces.Space[Any]) -> None:
+    """Its channels come first there, the environment's last; its actions are several bits."""
+    env = gymnasium.Env[Any, Any]()
+    env.observation_space, env.action_space = seen, spaces.MultiBinary(3)
+    model = sb3.PPO(f"{kind}Policy", env, n_steps=2, batch_size=2, policy_kwargs={"net_arch": [8]}, device="cpu")
+    model.save("model.zip")
+    policy = load_policy("model.zip", env)
+    for _ in range(5):
+        sample = seen.sample()
+        np.testing.assert_array_equal(policy(sample), model.predict(sample, deterministic=True)[0])
+
+
 @pytest.mark.usefixtures("onnx")
 @pytest.mark.parametrize("kind", ["module", "policy.pt", "policy.onnx"])
 @pytest.mark.parametrize("env", [REACH, PICK, PARTS], ids=["vector", "discrete", "dictionary"])

@@ -146,9 +146,9 @@ class Sb3File(PolicyFile):
             raise UserError(f"{name}: is no model that stable-baselines3 has saved: {error}") from error
 
     def forms(self, seen: Space, actions: Space) -> Iterator[tuple[str, str, str]]:
-        for what, space in (("observation", seen), ("action", actions)):
+        for what, space in (("observation", _channels_first(seen)), ("action", actions)):
             own = {} if isinstance(space, spaces.Dict) else self._entry(f"{what}_space")
-            if "n" in own:
+            if "n" in own and not own.get("_shape"):
                 yield f"{what}s", f"one of 0 to {int(own['n']) - 1}", form_of(space)
             elif "_shape" in own:
                 yield f"{what}s", str(tuple(own["_shape"] or ())), form_of(space)
@@ -158,7 +158,7 @@ class Sb3File(PolicyFile):
         import torch as th
 
         try:
-            policy = self._untrained(seen, actions)
+            policy = self._untrained(_channels_first(seen), actions)
             with zipfile.ZipFile(self.file) as archive:
                 if archive.getinfo("policy.pth").file_size > ARRAYS_BYTES:
                     raise UserError(f"{self.name}: its weights have more than {ARRAYS_BYTES:,} bytes")
@@ -219,6 +219,18 @@ class Sb3File(PolicyFile):
     def _sees(self) -> bool:
         """Whether its policy is the one of pictures."""
         return "CnnPolicy" in str(self._entry("policy_class").get("__init__"))
+
+
+def _channels_first(seen: Space) -> Space:
+    """Return observations as stable-baselines3 gives them to a policy, in whose pictures the channels come first."""
+    from stable_baselines3.common.preprocessing import is_image_space, is_image_space_channels_first
+    from stable_baselines3.common.vec_env import VecTransposeImage
+
+    if isinstance(seen, spaces.Dict):
+        return spaces.Dict({name: _channels_first(part) for name, part in seen.spaces.items()})
+    if isinstance(seen, spaces.Box) and is_image_space(seen) and not is_image_space_channels_first(seen):
+        return VecTransposeImage.transpose_space(seen)
+    return seen
 
 
 def _check_trusted(file: Path, why: str) -> None:
