@@ -349,7 +349,7 @@ def test_the_sentence_names_the_fastest_within_the_error() -> None:
     """ADSC is slower at ClockSpeed 20 than at 10."""
     rows = [(1.0, 0.0, 0.9, 0.0, 1.0), (10.0, 0.05, 9.0, 0.0, 10.0), (20.0, 0.05, 8.0, 0.0, 18.0)]
     found = advised(*rows, (50.0, 0.2, 45.0, 0.01, 50.0))
-    adsc = "ADSC stays within 0.1 m up to ClockSpeed 10, 9.0x real time; TCSC up to 50, 50.0x"
+    adsc = "ADSC is fastest within 0.1 m at ClockSpeed 10, 9.0x real time; TCSC at 50, 50.0x"
     assert sentence(found, 0.1, 1.0) == f"With commands of 1 s {adsc}. Modelled."
     assert "ADSC leaves 0.1 m at any ClockSpeed" in sentence(advised((1.0, 0.2, 0.9, 0.0, 1.0)), 0.1, 1.0)
 

@@ -53,7 +53,7 @@ class Count(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
     action_space = spaces.Box(-np.inf, np.inf, (1,), np.float32)
     dt = PERIOD_S
 
-    def __init__(self, worth: float = 1.0, tells: bool = True) -> None:
+    def __init__(self, worth: float = 1.0, tells: Any = True) -> None:
         self._worth, self._tells = worth, tells
 
     def reset(self, *, seed: int | None = None, options: Any = None) -> tuple[NDArray[np.float32], dict[str, Any]]:
@@ -67,7 +67,7 @@ class Count(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         self._right &= right
         self._count += 1
         over = self._count - self._first >= 30
-        info = {"is_success": self._right} if self._tells else {}
+        info = {"is_success": self._right & self._tells} if np.any(self._tells) else {}
         return np.full(1, self._count, np.float32), self._worth * right, over, False, info
 
 
@@ -119,6 +119,8 @@ def test_without_successes_the_score_is_the_return_also_below_zero() -> None:
     assert [row["success"] for row in right.rows] == [None] * 10
     with pytest.raises(UserError, match=r"^success = 'won': the last info of an episode has no such key; it has is_"):
         certify(Count, same, success="won", out="out")
+    with pytest.raises(UserError, match=r"must be true or false in the last info of an episode, not \[ True False\]$"):
+        certify(partial(Count, tells=np.array([True, False])), same)
     assert certify(Count, same, [0.0], episodes=2, out="out", resume=True).rows, "nothing had been flown"
     wrong = certify(
         partial(Count, -1.0, False), lambda seen: seen - [0, 9][int(seen[0]) % 15 == 0], [0, 0.01], episodes=5

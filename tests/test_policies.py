@@ -66,6 +66,25 @@ def test_a_model_of_stable_baselines3_acts_in_any_environment(algorithm: str, en
         seen, *_ = env.step(action)
 
 
+PICTURE = spaces.Box(0, 255, (40, 40, 3), np.uint8)
+
+
+@pytest.mark.parametrize(
+    ("kind", "seen"),
+    [("Cnn", PICTURE), ("MultiInput", spaces.Dict({"picture": PICTURE, "at": REACH.observation_space}))],
+)
+def test_a_model_has_pictures_as_stable_baselines3_turns_them(kind: str, seen: spaces.Space[Any]) -> None:
+    """Its channels come first there, the environment's last; its actions are several bits."""
+    env = gymnasium.Env[Any, Any]()
+    env.observation_space, env.action_space = seen, spaces.MultiBinary(3)
+    model = sb3.PPO(f"{kind}Policy", env, n_steps=2, batch_size=2, policy_kwargs={"net_arch": [8]}, device="cpu")
+    model.save("model.zip")
+    policy = load_policy("model.zip", env)
+    for _ in range(5):
+        sample = seen.sample()
+        np.testing.assert_array_equal(policy(sample), model.predict(sample, deterministic=True)[0])
+
+
 @pytest.mark.usefixtures("onnx")
 @pytest.mark.parametrize("kind", ["module", "policy.pt", "policy.onnx"])
 @pytest.mark.parametrize("env", [REACH, PICK, PARTS], ids=["vector", "discrete", "dictionary"])
@@ -114,8 +133,29 @@ def test_numbers_of_a_network_are_those_of_the_actions(number: int) -> None:
     if 2 <= number <= 4:
         assert policy(seen) == number
     else:
-        with pytest.raises(UserError, match=r"gives \(1,\) numbers for 1 actions"):
+        with pytest.raises(UserError, match=rf"gives \[{number}\] for 1 actions"):
             policy(seen)
+
+
+@pytest.mark.parametrize(
+    ("answer", "said"),
+    [
+        (th.tensor([[2.7]]), r"\[2\.7.*\] for 1 actions, each one of 2 to 4"),
+        (th.tensor([[2.0, 3.0]]), r"\(1, 2\) numbers for 1 actions, each one of 2 to 4"),
+        (th.full((1, 5), 2), r"\(1, 5\) numbers for 1 actions, each one of 2 to 4"),
+        ({"action": 2}, r"\[{'action': 2}\], where numbers are needed"),
+    ],
+    ids=["between", "too few", "too many", "no numbers"],
+)
+def test_an_answer_for_other_actions_is_one_line(answer: Any, said: str) -> None:
+    """A chance between two actions is not the first of them, nor is a rating of too few or too many its first one."""
+
+    class Constant(th.nn.Module):
+        def forward(self, seen: th.Tensor) -> Any:
+            return answer
+
+    with pytest.raises(UserError, match=f"gives {said}$"):
+        load_policy(Constant(), PICK)(np.zeros(4))
 
 
 @pytest.mark.usefixtures("onnx")
@@ -165,7 +205,42 @@ def test_an_episode_begins_with_the_policys_reset_and_its_seed() -> None:
     assert begun == [7, "bare"]
 
 
+class Memory(th.nn.Module):
+    def __init__(self) -> None:
+        super().__init__()
+        self.seen = th.zeros(1, 2)
+
+    def forward(self, seen: th.Tensor) -> th.Tensor:
+        self.seen = self.seen + seen[:, :2]
+        return self.seen
+
+    @th.jit.export
+    def reset(self) -> None:
+        self.seen = th.zeros(1, 2)
+
+
+@pytest.mark.parametrize("kind", ["module", "policy.pt"])
+def test_a_module_that_remembers_begins_anew_with_its_reset(kind: str) -> None:
+    scripted(Memory())
+    policy = load_policy(Memory() if kind == "module" else kind, REACH, trust=True)
+    for _ in range(2):
+        policy.reset(7)
+        policy(np.full(4, 0.125))
+        np.testing.assert_array_equal(policy(np.full(4, 0.125)), [0.25, 0.25])
+
+
 # --- what is refused, in one line -------------------------------------------------------------------------------------
+
+
+def test_what_a_file_raises_is_one_line_that_names_it() -> None:
+    Path("pilot.py").write_text("def act(seen):\n    return 1 / 0\ndef reset():\n    seed\nact.reset = reset\n")
+    policy = load_policy("pilot.py:act", REACH, trust=True)
+    with pytest.raises(UserError, match=r"^pilot\.py:act: .*pilot\.py:2: act: ZeroDivisionError: division by zero$"):
+        policy(np.zeros(4))
+    with pytest.raises(
+        UserError, match=r"^pilot\.py:act: .*pilot\.py:4: reset: NameError: name 'seed' is not defined$"
+    ):
+        policy.reset(7)
 
 
 def test_only_what_is_trusted_runs() -> None:
@@ -247,6 +322,7 @@ def test_an_action_stays_what_it_is() -> None:
         (PICK, 1, "1, where an action is one of 2 to 4"),
         (PICK, 2.0, "2.0, where an action is one of 2 to 4"),
         (PICK, [2], r"int64 \(1,\), where an action is one of 2 to 4"),
+        (REACH, th.ones(2, requires_grad=True), r"tensor\(\[1.*\): Can't call numpy\(\) .*"),
     ],
 )
 def test_an_answer_that_is_no_action_is_one_line(env: Space, given: Any, said: str) -> None:

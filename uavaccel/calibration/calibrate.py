@@ -106,15 +106,15 @@ def advise(
 
 
 def sentence(advice: pd.DataFrame, error_m: float, t_move_s: float) -> str:
-    """Return in words the highest ClockSpeed at which either command stays within the error."""
+    """Return in words at which ClockSpeed each command is fastest within the error."""
     within = advice[advice.error_m <= error_m]
     fastest = within.loc[within.groupby("command").speedup.idxmax()].set_index("command")
     slow, fast = f"ADSC leaves {error_m:g} m at any ClockSpeed", "so does TCSC: its own timer is too coarse"
     if "adsc" in fastest.index:
         adsc = fastest.loc["adsc"]
-        slow = f"ADSC stays within {error_m:g} m up to ClockSpeed {adsc.clock_speed:g}, {adsc.speedup:.1f}x real time"
+        slow = f"ADSC is fastest within {error_m:g} m at ClockSpeed {adsc.clock_speed:g}, {adsc.speedup:.1f}x real time"
     if "tcsc" in fastest.index:
-        fast = "TCSC up to {clock_speed:g}, {speedup:.1f}x".format(**fastest.loc["tcsc"])
+        fast = "TCSC at {clock_speed:g}, {speedup:.1f}x".format(**fastest.loc["tcsc"])
     return f"With commands of {t_move_s:g} s {slow}; {fast}. Modelled."
 
 

@@ -409,8 +409,11 @@ def _episode(env: RealTime, policy: Policy, seed: int, success: str | None) -> R
     except UserError as error:
         return {"error": str(error)}
     if success is not None and success not in info:
-        raise UserError(f"success = {success!r}: the last info of an episode has no such key; it has {', '.join(info)}")
-    won = next((info[name] for name in (SUCCESS if success is None else (success,)) if name in info), None)
+        known = ", ".join(map(str, info))
+        raise UserError(f"success = {success!r}: the last info of an episode has no such key; it has {known}")
+    won: Any = next((info[name] for name in (SUCCESS if success is None else (success,)) if name in info), None)
+    if np.size(won) != 1:
+        raise UserError(f"success: must be true or false in the last info of an episode, not {one_line(won)}")
     return {
         "return": total,
         "success": None if won is None else bool(won),

@@ -12,6 +12,7 @@ import socket
 import sys
 import weakref
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol, cast
 from urllib.parse import urlsplit
@@ -112,19 +113,33 @@ def _found(name: str, env: Spaces, answer_s: float) -> Policy:
         for what, own, of_env in file.forms(seen, actions):
             if own != of_env:
                 raise UserError(f"{name}: its {what} are {own}, the environment's {of_env}")
-        return Policy(name, file_sha256(file.file), _of_one(file.load(seen, actions)), actions)
+        act = _of_one(file.load(seen, actions))
+        return Policy(name, file_sha256(file.file), act, actions, file.state)
     if ":" not in name:
         wanted = "a file (.zip, .onnx, .pt), file.py:function, module:function or tcp://host:port"
         raise UserError(f"policy {name!r}: is none that is known: name {wanted}")
     function, code = own_function(name, f"policy {name!r}")
     if not takes(function, 1):
         raise UserError(f"policy {name!r}: must take an observation alone")
+    called = _OwnFunction(name, code, function)
+    return Policy(name, file_sha256(code), called, actions, called)
 
-    def act(observation: Any) -> Any:
-        with errors_named(code, name):
-            return function(observation)
 
-    return Policy(name, file_sha256(code), act, actions, function)
+@dataclass
+class _OwnFunction:
+    """A function of a file, whose errors are one line that names the file."""
+
+    name: str
+    file: Path
+    function: Callable[[Any], Any]
+
+    def __call__(self, observation: Any) -> Any:
+        with errors_named(self.file, self.name):
+            return self.function(observation)
+
+    def reset(self, seed: int | None) -> None:
+        with errors_named(self.file, self.name):
+            begin(self.function, seed)
 
 
 def _of_one(policy: BatchPolicy) -> Callable[[Any], Any]:
@@ -161,6 +176,8 @@ def fitting(given: Any, space: Space, name: str) -> Any:
         action = np.asarray(given)
     except ValueError:  # of lists of different lengths
         action = np.asarray(None)
+    except (RuntimeError, TypeError) as error:  # of a tensor that learns, or is on a GPU
+        raise UserError(f"{name}: returned {reprlib.repr(given)}: {one_line(error)}") from error
     if isinstance(space, spaces.Discrete):
         fits = action.shape == () and action.dtype.kind in "iu" and bool(space.contains(int(action)))
     else:

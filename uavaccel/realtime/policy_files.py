@@ -72,6 +72,9 @@ def policy_file(name: str) -> PolicyFile | None:
 class PolicyFile(ABC):
     """A file with a policy, which does not say what environment it was trained in."""
 
+    state: Any = None
+    """What has the `reset` of the policy that was loaded last, if it has one."""
+
     def __init__(self, name: str) -> None:
         self.name, self.file = name, Path(name)
 
@@ -90,25 +93,30 @@ class PolicyFile(ABC):
 def actions_of(answer: Any, count: int, space: Space, name: str) -> NDArray[Any]:
     """Return the actions in a network's answer (count, ...): vectors or, of discrete ones, numbers or ratings of each.
 
-    Vectors are clipped to the bounds of their space. Raises UserError for an answer of another shape.
+    Vectors are clipped to the bounds of their space. Raises UserError for an answer of another shape, and for numbers
+    between two actions.
     """
     answer = np.atleast_1d(np.asarray(answer))
+    if answer.dtype.kind not in "fiub":
+        raise UserError(f"{name}: gives {one_line(answer)}, where numbers are needed")
     if not np.isfinite(answer).all():
         raise UserError(f"{name}: gives numbers that are NaN or infinite")
     taken: NDArray[Any]
     if isinstance(space, spaces.Discrete):
         if answer.shape == (count, space.n) and space.n > 1:
             return np.asarray(answer.argmax(axis=1) + space.start)
-        answer = answer.reshape(len(answer), -1)[:, :1].ravel()
-        taken, last = answer.astype(np.int64), space.start + space.n - 1
-        fits = len(answer) == count and bool(((answer >= space.start) & (answer <= last)).all())
+        taken = answer.astype(np.int64).ravel()
+        fits = len(answer) == taken.size == count and bool((answer.ravel() == taken).all())
+        fits = fits and bool(((taken >= space.start) & (taken < space.start + space.n)).all())
     elif isinstance(space, spaces.Box):
         fits = answer.shape == (count, *space.shape)
         taken = np.asarray(np.clip(answer, space.low, space.high) if fits else answer, space.dtype)
     else:
         raise UserError(f"{name}: flies one of a number of actions, or a Box of them, not {space}")
     if not fits:
-        raise UserError(f"{name}: gives {answer.shape} numbers for {count} actions, each {form_of(space)}")
+        one_each = isinstance(space, spaces.Discrete) and answer.size == count
+        what = one_line(answer.ravel().tolist()) if one_each else f"{answer.shape} numbers"
+        raise UserError(f"{name}: gives {what} for {count} actions, each {form_of(space)}")
     return taken
 
 
@@ -138,9 +146,9 @@ class Sb3File(PolicyFile):
             raise UserError(f"{name}: is no model that stable-baselines3 has saved: {error}") from error
 
     def forms(self, seen: Space, actions: Space) -> Iterator[tuple[str, str, str]]:
-        for what, space in (("observation", seen), ("action", actions)):
+        for what, space in (("observation", _channels_first(seen)), ("action", actions)):
             own = {} if isinstance(space, spaces.Dict) else self._entry(f"{what}_space")
-            if "n" in own:
+            if "n" in own and not own.get("_shape"):
                 yield f"{what}s", f"one of 0 to {int(own['n']) - 1}", form_of(space)
             elif "_shape" in own:
                 yield f"{what}s", str(tuple(own["_shape"] or ())), form_of(space)
@@ -150,7 +158,7 @@ class Sb3File(PolicyFile):
         import torch as th
 
         try:
-            policy = self._untrained(seen, actions)
+            policy = self._untrained(_channels_first(seen), actions)
             with zipfile.ZipFile(self.file) as archive:
                 if archive.getinfo("policy.pth").file_size > ARRAYS_BYTES:
                     raise UserError(f"{self.name}: its weights have more than {ARRAYS_BYTES:,} bytes")
@@ -211,6 +219,18 @@ class Sb3File(PolicyFile):
     def _sees(self) -> bool:
         """Whether its policy is the one of pictures."""
         return "CnnPolicy" in str(self._entry("policy_class").get("__init__"))
+
+
+def _channels_first(seen: Space) -> Space:
+    """Return observations as stable-baselines3 gives them to a policy, in whose pictures the channels come first."""
+    from stable_baselines3.common.preprocessing import is_image_space, is_image_space_channels_first
+    from stable_baselines3.common.vec_env import VecTransposeImage
+
+    if isinstance(seen, spaces.Dict):
+        return spaces.Dict({name: _channels_first(part) for name, part in seen.spaces.items()})
+    if isinstance(seen, spaces.Box) and is_image_space(seen) and not is_image_space_channels_first(seen):
+        return VecTransposeImage.transpose_space(seen)
+    return seen
 
 
 def _check_trusted(file: Path, why: str) -> None:
@@ -319,7 +339,8 @@ class TorchScriptFile(PolicyFile):
             raise
         except Exception as error:  # a file from elsewhere may have anything in it
             raise UserError(f"{self.name}: is no TorchScript file: {one_line(error)}") from error
-        return module_policy(module.eval(), actions, self.name)
+        self.state = module.eval()
+        return module_policy(self.state, actions, self.name)
 
 
 def module_policy(module: Any, actions: Space, name: str) -> BatchPolicy:

@@ -188,7 +188,7 @@ def begin(policy: Any, seed: int | None) -> None:
     if callable(reset := getattr(policy, "reset", None)):
         try:
             inspect.signature(reset).bind(seed)
-        except TypeError:
+        except (TypeError, ValueError):  # it takes none, or does not say
             reset()
         else:
             reset(seed)
