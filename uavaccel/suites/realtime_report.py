@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 
 from uavaccel.draw import style
-from uavaccel.draw.page import Column, Picture, Table, clock_label, listed
+from uavaccel.draw.page import Column, Picture, Table, clock_label, listed, unknown
 from uavaccel.metrics.intervals import hierarchical_interval
 from uavaccel.suites import plots
 from uavaccel.suites.report import Report
@@ -141,9 +141,10 @@ def agreement(pairs: pd.DataFrame) -> dict[str, Any]:
 def cell_in_words(cell: Mapping[str, Any]) -> str:
     """Return the result of a cell, as in "hopper-naive: return 70.2 (95 % interval 60 to 80) with 20 ms ..."."""
     of = "score" if cell.get("score_mean") is not None else "return"
-    mean, low, high = (f"{cell[f'{of}_{name}']:.4g}" for name in ("mean", "low", "high"))
+    mean, low, high = (cell[f"{of}_{name}"] for name in ("mean", "low", "high"))
     under = f"{_latency_ms(cell)} ms to think, {cell['command'].upper()} at {clock_label(cell['clock_speed'])}"
-    return f"{cell['environment']}, {cell['agent']}: {of} {mean} (95 % interval {low} to {high}) with {under}"
+    interval = "one episode" if unknown(low) else f"95 % interval {low:.4g} to {high:.4g}"
+    return f"{cell['environment']}, {cell['agent']}: {of} {mean:.4g} ({interval}) with {under}"
 
 
 def up_to_which_speed(ranking: Mapping[str, Any]) -> str:
