@@ -184,7 +184,7 @@ def test_shipped_mediations_can_be_flown(experiment: str) -> None:
         ("contrasts=[{label: a, without: [small/gap-3], moved: [small/usual]}]", "contrasts: small/gap-3 is no cell"),
         ("contrasts=[{label: a, without: [small/usual, brief/usual], moved: [small/gap-2]}]", "a needs as many cells"),
         ("flights.gap.values=[[0.1, 0.2]]", r"values has \[0.1, 0.2\]: needs a value for each of task"),
-        ("flights.gap.values=[[0.2], [0.2]]", "each value of task.mediation.gap_s once"),
+        ("flights.gap.values=[[0.2], [0.2000001]]", "each value of task.mediation.gap_s once"),
         ("flights.gap.values=[[fast]]", "those of task.mediation.gap_s must be numbers"),
         ("flights.gap.keys=[task.mediation.gab_s]", r"gab_s"),
         (

@@ -53,7 +53,7 @@ class Factor(Config):
             raise ValueError(f"values has {list(wrong[0])}: needs a value for each of {', '.join(self.keys)}")
         if any(not isinstance(line[0], int | float) for line in self.values):
             raise ValueError(f"values: those of {self.keys[0]} must be numbers")
-        if len({line[0] for line in self.values}) < len(self.values):
+        if len({f"{line[0]:g}" for line in self.values}) < len(self.values):
             raise ValueError(f"values: each value of {self.keys[0]} once")
         return self
 
