@@ -131,8 +131,8 @@ def drop_games_after_checkpoint(run: RunDirectory) -> None:
     games, rows = 0 if checkpoint is None else games_of(checkpoint), len(run.rows())
     if rows < games:
         raise UserError(
-            f"{run.path / 'rows.jsonl'}: has {counted(rows, 'game')}, {checkpoint} knows {games}: rows are missing; put them "
-            f"back, or delete {run.path / CHECKPOINTS} and --resume to begin the training anew"
+            f"{run.path / 'rows.jsonl'}: has {counted(rows, 'game')}, {checkpoint} knows {games}: rows are missing; "
+            f"put them back, or delete {run.path / CHECKPOINTS} and --resume to begin the training anew"
         )
     run.truncate_to(games)
     if (run.path / EVALUATIONS).is_file():
