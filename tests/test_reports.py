@@ -611,6 +611,10 @@ ENDS: tuple[tuple[Callable[[Path], Report], str], ...] = (
     (lambda path: made.dp1(path, [line_row("game", "tcsc", 50.0, 0, 0.0)]), "1 game, none of them"),
     (partial(seeds, of=[(7, 1, 2.0)]), "Evaluation lanes won after the last game: 50.0% [9.5%, 90.5%], one seed"),
     (
+        lambda path: made.realtime(path, *(thinking_row(who, "adsc", 0.0, 1.0, 5.0) for who in ("naive", "chunk"))),
+        "With 0 ms to think, in pendulum naive = chunk",
+    ),
+    (
         lambda path: made.realtime(path, thinking_row("naive", "adsc", 0.0, 1.0, 5.0) | {"returns": [5.0]}),
         "Pendulum, naive: return 5 (one episode) with 0 ms to think, ADSC at 1x",
     ),

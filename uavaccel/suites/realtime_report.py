@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from itertools import permutations
+from itertools import pairwise, permutations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -147,11 +147,18 @@ def cell_in_words(cell: Mapping[str, Any]) -> str:
     return f"{cell['environment']}, {cell['agent']}: {of} {mean:.4g} ({interval}) with {under}"
 
 
-def up_to_which_speed(ranking: Mapping[str, Any]) -> str:
-    """Return up to which ClockSpeed a ranking holds, as in "in hopper the ranking holds up to 5x; at 20x ..."."""
+def up_to_which_speed(ranking: Mapping[str, Any], cells: Sequence[Mapping[str, Any]]) -> str:
+    """Return up to which ClockSpeed a ranking holds, as in "in hopper the ranking holds up to 5x; at 20x ...".
+
+    At a single one it is the order of the agents, as in "in hopper small = large > slow", from their `cells`.
+    """
     where, speeds = f"in {ranking['environment']}", ranking["clock_speeds"]
     if len(speeds) < 2:
-        return f"{where} {' > '.join(ranking['orders'][0])}"
+        own = [each for each in cells if each["command"] == "adsc"]
+        own = [each for each in own if all(each[name] == ranking[name] for name in ("environment", "latency_s"))]
+        means, order = {each["agent"]: each["return_mean"] for each in own}, ranking["orders"][0]
+        others = (f" {'>' if means[one] > means[other] else '='} {other}" for one, other in pairwise(order))
+        return f"{where} {order[0]}{''.join(others)}"
     if not ranking["reversals"]:
         return f"{where} no two agents change places up to {clock_label(speeds[-1])}, the fastest flown"
     return f"{where} the ranking holds up to {clock_label(ranking['holds_to'])} ({_first_change(ranking)})"
