@@ -69,6 +69,8 @@ def test_a_batch_flies_as_single_environments_do(mode: str, size: tuple[int, int
 def test_a_mask_says_which_games_begin_anew(simulator: str) -> None:
     batch: Any = uavaccel.make_vec("hover", 2, simulator=simulator, autoreset_mode="Disabled", render_mode=None)
     with closing(batch), closing(uavaccel.make("hover")) as alone:
+        with pytest.raises(UserError, match=r"^reset: option reset_mask: reset all environments first$"):
+            batch.reset(options={"reset_mask": np.array([False, True])})
         first, _ = batch.reset(seed=1)
         for seed, aim in ((1, {"waypoint_m": [1.0, 0.0, -9.0]}), (5, {})):
             seen, infos = batch.reset(seed=seed, options={"reset_mask": np.array([False, True]), **aim})

@@ -131,6 +131,14 @@ def test_without_successes_the_score_is_the_return_also_below_zero() -> None:
     assert (holds["latency_s"] > 0) == (one["mean"] >= holds["least"])
 
 
+def test_of_one_episode_a_latency_no_return_is_sure() -> None:
+    alone = certify(partial(Count, tells=False), same, DELAYS, episodes=1, out="out")
+    assert {(cell["low"], cell["high"]) for cell in alone.document["cells"]} == {(None, None)}
+    assert (alone.document["holds"]["latency_s"], alone.document["holds"]["surely_s"]) == (PERIOD_S, None)
+    assert [line[3] for line in alone.table()[1]] == ["-"] * 5
+    assert alone.figure("alone.png").is_file()
+
+
 def test_a_calibration_file_is_replayed_and_stretched() -> None:
     times_us = [20_000.0] * 6 + [20_100.0] * 6
     Path("times.json").write_text(json.dumps({"latency": {"request_us": {"call": times_us}}}))

@@ -290,7 +290,7 @@ UNKNOWN = "wall time known after the first"
     ("left", "games", "jobs", "lines"),
     [
         ("abc", 1, 4, [f"3 games (1 wall, 2 virtual: measured and modelled), 1,235 simulated s, {UNKNOWN}, into out",
-                       "1 games on the wall clock fly alone, in this process, one by one"]),
+                       "1 game on the wall clock flies alone, in this process, one by one"]),
         ("bc", 2000, 1, [f"4,000 games in 2 cells (2 virtual: modelled), 235 simulated s, {UNKNOWN}, into out"]),
         ("", 1, 1, ["no game is left to be flown in out"]),
     ],

@@ -85,7 +85,7 @@ def test_a_damaged_checkpoint_is_one_line(copy: Path, name: str, damage: Callabl
 def test_rows_that_only_the_checkpoint_knows_are_named(copy: Path) -> None:
     rows = copy / "rows.jsonl"
     rows.write_bytes(rows.read_bytes().splitlines(keepends=True)[0])
-    with pytest.raises(UserError, match=r"rows\.jsonl: has 1 games, .* knows 2: rows are missing"):
+    with pytest.raises(UserError, match=r"rows\.jsonl: has 1 game, .* knows 2: rows are missing"):
         train_into(copy, config(), resume=True)
 
 

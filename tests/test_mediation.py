@@ -184,7 +184,7 @@ def test_shipped_mediations_can_be_flown(experiment: str) -> None:
         ("contrasts=[{label: a, without: [small/gap-3], moved: [small/usual]}]", "contrasts: small/gap-3 is no cell"),
         ("contrasts=[{label: a, without: [small/usual, brief/usual], moved: [small/gap-2]}]", "a needs as many cells"),
         ("flights.gap.values=[[0.1, 0.2]]", r"values has \[0.1, 0.2\]: needs a value for each of task"),
-        ("flights.gap.values=[[0.2], [0.2]]", "each value of task.mediation.gap_s once"),
+        ("flights.gap.values=[[0.2], [0.2000001]]", "each value of task.mediation.gap_s once"),
         ("flights.gap.values=[[fast]]", "those of task.mediation.gap_s must be numbers"),
         ("flights.gap.keys=[task.mediation.gab_s]", r"gab_s"),
         (
@@ -224,6 +224,9 @@ def test_a_part_of_a_loss_is_a_share_with_an_interval_over_trainings_and_lanes(m
     few = {"a/usual": cell(lanes[:10] >= 0), "a/whole": cell(lanes[:10] > 3)}  # some resamples lose nothing
     some: dict[str, Any] = share_of_loss(few, share, "a/whole")
     assert (some["share"], some["low"], some["high"]) == (1.0, 1.0, 1.0)
+    alone = {"a/usual": cell([True]), "a/whole": cell([False])}
+    one = share_of_loss(alone, share, "a/whole")
+    assert (one["share"], one["low"], one["high"]) == (1.0, None, None)
     seeds = {"a/usual": cell(lanes >= 0), "b/whole": cell(lanes < 0, lanes >= 0), "c/part": cell(lanes % 2)}
     apart: dict[str, Any] = share_of_loss(seeds, Share(usual="a/usual", whole="b/whole", parts=()), "c/part")
     assert (apart["share"], apart["low"]) == (1.0, None)  # the other training loses nothing

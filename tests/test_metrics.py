@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from numpy.typing import NDArray
@@ -402,6 +402,7 @@ ratios = st.lists(st.integers(0, 8).map(lambda won: won / 8), min_size=2, max_si
 
 @given(trainings, st.integers(0, 3))
 def test_an_interval_lies_within_the_seeds_games_and_repeats(samples: list[list[float]], seed: int) -> None:
+    assume(sum(map(len, samples)) > 1)
     low, high = hierarchical_interval(samples, seed, resamples=50)
     assert min(map(min, samples)) <= low <= high <= max(map(max, samples))
     assert (low, high) == hierarchical_interval(samples, seed, resamples=50)
@@ -507,8 +508,9 @@ def test_parts_of_a_claim() -> None:
     assert [opposite(each) for each in (True, False, None)] == [False, True, None]
 
 
-def test_a_lone_value_has_no_width_and_none_is_refused() -> None:
-    assert mean_estimate([3.0]) == Estimate(3.0, 3.0, 3.0)
+def test_of_a_lone_value_no_interval_is_known_and_none_is_refused() -> None:
+    alone = [mean_estimate([3.0]).interval, median_interval([3.0], 0), hierarchical_interval([[3.0]], 0)]
+    np.testing.assert_array_equal([*alone, speedup_interval([3.0, 4.0], [1.0], 0)], np.nan)
     assert ratio_estimate(Estimate(3, 3, 3), Estimate(4, 4, 4)) == pytest.approx((0.75, 0.75, 0.75))
     with pytest.raises(ValueError, match="at least one"):
         mean_estimate([])

@@ -192,7 +192,18 @@ def test_without_trainings_their_claims_are_pending(report: Report) -> None:
 
 def test_trainings_come_from_a_run_of_rl_alone(report: Report) -> None:
     with pytest.raises(UserError, match="is a run of paper, not of rl"):
-        Paper().check(config("dp1-airsim", with_run=str(report.run.path)))
+        Paper().check(config("dp1-native", with_run=str(report.run.path)))
+
+
+@pytest.mark.parametrize(
+    ("name", "experiment"), [("dp1-airsim", "dp1"), ("dp2-native", "dp1"), ("dp1-native", "rl_smoke")]
+)
+def test_a_part_of_another_suite_or_profile_is_refused(name: str, experiment: str) -> None:
+    part = validate(PaperConfig, {"suite": "paper", "parts": {name: {"experiment": experiment}}}, "test")
+    with pytest.raises(
+        UserError, match=rf"parts.{name}: {experiment} and its keys fly {'rl' * (experiment[0] == 'r')}"
+    ):
+        Paper().check(part)
 
 
 @pytest.mark.parametrize(

@@ -124,6 +124,7 @@ def cases() -> list[Any]:
         ("ensemble", {"latency_s": 0, "chunk": 6, "execute": 1, "ensemble": 0.2}, averaged(6, 0.2)),
         ("steps", {"delay_steps": 2}, turns(2 * PERIOD_S, 3 * PERIOD_S, 1)),
         ("10 x", {"latency_s": 0.007, "clock_speed": 10}, turns(0.07, 0.07 + PERIOD_S, 1)),
+        ("slowest", {"latency_s": 70.0, "clock_speed": 0.001}, turns(0.07, 0.07 + PERIOD_S, 1)),
     ]
     for latency_s in (0.02, 0.034, 0.05, 0.12, 0.31):
         delay_s = waited_s(latency_s)

@@ -365,7 +365,7 @@ def test_what_is_flown_is_what_the_simulated_clock_models(run: RunDirectory, tmp
         ),
         ("agents={a: {training_delay_s: [0.2, 0.1]}}", "training_delay_s must rise"),
         ("agents={a/b: {}}", "'a/b' names files: letters, digits and _ alone"),
-        ("latency_s=[0.1, 0.1]", "latency_s has a latency twice"),
+        ("latency_s=[0.1, 0.1]", "latency_s = .*: has 0.1 twice"),
         ("timing=wall", "look_ahead needs timing virtual"),
     ],
 )

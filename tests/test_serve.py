@@ -96,12 +96,8 @@ def test_options_go_before_settings_which_reach_the_simulation(tmp_path: Path) -
     settings = Settings.model_validate(given)
     with pytest.raises(UserError, match=r"Recording\.Folder = .*file: is no folder"):
         api_of(ServeOptions(), settings)
-    for wrong, line in (
-        (given | {"ClockSpeed": 2e4}, "ClockSpeed must be at most 10000"),
-        (UNEVEN, "Recording.Record"),
-    ):
-        with pytest.raises(UserError, match=rf"^my\.json: {line}"):
-            api_of(ServeOptions(Path("my.json")), Settings.model_validate(wrong))
+    with pytest.raises(UserError, match=r"^my\.json: Recording.Record"):
+        api_of(ServeOptions(Path("my.json")), Settings.model_validate(UNEVEN))
     with pytest.raises(UserError, match=r"--recordings .*file: is no folder"):
         api_of(ServeOptions(recordings=a_file), Settings())
     for clock_speed, flown in ((None, 5.0), (2.0, 2.0)):

@@ -154,6 +154,7 @@ def test_a_task_of_ones_own_judges_each_drone() -> None:
         ({"timing": "virtual"}, r"timing = 'virtual'"),
         ({"t_move_s": 0.4}, "t_sample_s equal to t_move_s"),
         ({"drone": 3}, "unknown key 'drone'"),
+        ({"altitude_m": 0.2}, "altitude_m = 0.2: needs 0.3, as some start 0.2 m lower"),
     ],
 )
 def test_keys_that_several_drones_cannot_fly_are_refused(keys: Mapping[str, Any], said: str) -> None:
@@ -167,7 +168,7 @@ def test_mistakes_in_a_reset_or_a_step_are_one_line() -> None:
             drones.step({})
         with pytest.raises(UserError, match=r"option starts_m must be 2 places \[north, east, down\] in metres"):
             drones.reset(options={"starts_m": [[0, 0, -5]]})
-        with pytest.raises(UserError, match=r"^drone_1 would start less than"):
+        with pytest.raises(UserError, match=r"^drone_1 would start less than 0.75 m from drone_0$"):
             drones.reset(options={"starts_m": [[0, 0, -5], [0.1, 0, -5]]})
         with pytest.raises(UserError, match=r"NED z has to be from"):
             drones.reset(options={"starts_m": [[0, 0, 5], [4, 0, -5]]})

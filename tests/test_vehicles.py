@@ -177,6 +177,13 @@ def test_each_sees_through_its_own_cameras() -> None:
     assert np.mean(behind != decode_image(call(api, "uavaccelImage", "gray"))) > 0.002
 
 
+def test_a_camera_is_where_its_settings_say_and_stands_on_nothing() -> None:
+    eye = {"VehicleType": "ComputerVision", "X": 5, "Y": 0, "Z": 0}
+    api = made(SimMode="ComputerVision", Vehicles={"Eye": eye})
+    call(api, "simAddVehicle", "New", "simpleflight", pose(3.0, -6.0, -2.0), "")
+    assert [each.place_m for each in api.simulation.world.vehicles] == [(5.0, 0.0, 0.0), (3.0, -6.0, -2.0)]
+
+
 def test_of_several_at_once_one_that_is_too_near_is_refused_with_all() -> None:
     api = hovering_alone()
     with pytest.raises(rpc.RpcError, match="cannot be called 'ground': an object"):

@@ -34,6 +34,7 @@ LANE: Table = [
     ({"lane": {"obstacles": [{"x_m": 12, "y_m": 0.2}]}}, "should have radius_m"),
     ({"lane": "nowhere.yaml"}, "nowhere.yaml"),
     ({"difficulty": {"obstacles_per_row": 4, "min_gap_m": 5.0}}, "the lane is 10 m wide"),
+    ({"difficulty": {"first_row_m": 1.1, "half_width_m": 1.0}}, "half_width_m = 1 reaches the start, within 0.3418 m"),
     # times
     ({"t_move_s": 0.003}, "t_move_s: 0.003 s is not a positive multiple of the physics step of 2 ms"),
     ({"t_sample_s": 1e-12}, "t_sample_s: 1e-12 s is not a positive multiple"),

@@ -55,6 +55,7 @@ class TurnBatch(Batch, ABC):
     """A vector environment whose `step` is the start of a command in some environments and the wait for its end."""
 
     __getstate__ = refuse_copy
+    _begun = False
 
     # --- Gymnasium --------------------------------------------------------------------------------
 
@@ -63,10 +64,13 @@ class TurnBatch(Batch, ABC):
     ) -> tuple[Observation, Info]:
         """Begin a game in every environment; environment i gets `seed` + i, or the i-th of several seeds.
 
-        With the option `reset_mask`, truth values (N,), in those alone.
+        With the option `reset_mask`, truth values (N,), in those alone. Raises UserError where the first is not of all.
         """
         seeds, (which, others) = seeds_of(seed, self.num_envs), lanes_of(options, self.num_envs)
+        if len(which) < self.num_envs and not self._begun:
+            raise UserError("reset: option reset_mask: reset all environments first")
         begun = self.reset_each([seeds[slot] for slot in which], [others] * len(which), which)
+        self._begun = True
         infos = dict(zip(which, begun, strict=True))
         return self.observations(), self._merged([infos.get(slot, {}) for slot in range(self.num_envs)])
 

@@ -107,10 +107,8 @@ class KernelBatch(TurnBatch):
     # --- learners ---------------------------------------------------------------------------------
 
     def reset_each(self, seeds: Seeds, options: GameOptions, slots: Slots = None) -> list[Info]:
-        """As `TurnBatch` has it. Raises UserError where the first reset is not of all; BatchError once closed."""
+        """As `TurnBatch` has it, the first time of all. Raises BatchError once closed."""
         which = self._standing(slots).tolist()
-        if len(which) < self.num_envs and not self._drawn:
-            raise UserError("reset: option reset_mask: reset all environments first")
         for lane, seed in zip(which, seeds, strict=True):
             if seed is not None or lane not in self._generators:
                 self._generators[lane] = seeding.np_random(seed)[0]

@@ -45,6 +45,7 @@ ALONE_WITH = {
     **dict.fromkeys(("image_noise", "dvs_shot_noise_hz", "dvs_leak_hz"), 0.0),
 }
 """Keys of other tasks that several drones do not follow, and what they have to be."""
+UNEVEN_M, LOWEST_M = 0.2, 0.3  # starts and goals are up to so much above or below the altitude; its least
 AWAY_M = FARTHEST_M  # north: where drones are whose games are over, at the edge of where one may be placed
 
 
@@ -75,12 +76,16 @@ class SwarmTask(Task):
                 raise ValueError(f"{key} = {getattr(self, key)!r}: several drones fly with {only!r} alone")
         if self.mediation != Mediation() or self.frames_per_command != 1:
             raise ValueError("several drones fly without mediation, and with t_sample_s equal to t_move_s")
+        if self.altitude_m < LOWEST_M:
+            raise ValueError(
+                f"altitude_m = {self.altitude_m:g}: needs {LOWEST_M:g}, as some start {UNEVEN_M:g} m lower"
+            )
         return self
 
     def sample(self, random: np.random.Generator, options: Mapping[str, object]) -> Course:
         """Sample starts and goals: evenly around the ring, turned anyhow, each goal opposite its start."""
         turn = random.uniform(0.0, 2.0 * math.pi) + 2.0 * math.pi * np.arange(self.drones) / self.drones
-        heights = -self.altitude_m + random.uniform(-0.2, 0.2, (2, self.drones))
+        heights = -self.altitude_m + random.uniform(-UNEVEN_M, UNEVEN_M, (2, self.drones))
         ring = self.ring_m * np.stack([np.cos(turn), np.sin(turn)])
         starts, goals = (np.vstack([side, height]).T for side, height in ((ring, heights[0]), (-ring, heights[1])))
         return {
@@ -221,6 +226,7 @@ class Swarm(ParallelEnv):  # type: ignore[misc]
             if self.task.observation != "state":
                 gl.check_process()
             world = World(self.task.scene, PROFILES[self.task.profile])
+            world.lead.name = self.possible_agents[0]
             world.add_vehicles([*map(AddedVehicle, self.possible_agents[1:], starts[1:])])
             self._world = world
         for agent in self.possible_agents:
@@ -244,9 +250,7 @@ class Swarm(ParallelEnv):  # type: ignore[misc]
         now = Moment(state, state.position_m, None, was.commands + 1, was.course)
         if touch is None:
             return now
-        first = self._vehicle(self.possible_agents[0]).name  # which the world gave it
-        name = self.possible_agents[0] if touch.object == first else touch.object
-        return now._replace(position_m=touch.position_m, collision=name)
+        return now._replace(position_m=touch.position_m, collision=touch.object)
 
     def _send_away(self, agent: str) -> None:
         assert self._world is not None

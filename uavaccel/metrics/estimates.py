@@ -70,14 +70,14 @@ class Estimate(NamedTuple):
 
 
 def mean_estimate(values: ArrayLike) -> Estimate:
-    """Return the mean of `values` (n,), one per training, with Student's interval; that of a single value has no width.
+    """Return the mean of `values` (n,), one per training, with Student's interval; of a single value its ends are NaN.
 
     Raises ValueError without values.
     """
     each = np.asarray(values, np.float64)
     if not each.size:
         raise ValueError("a mean needs at least one value")
-    mean, width = float(each.mean()), 0.0
+    mean, width = float(each.mean()), float("nan")
     if each.size > 1:
         width = float(student_quantile(each.size - 1) * each.std(ddof=1) / np.sqrt(each.size))
     return Estimate(mean, mean - width, mean + width)

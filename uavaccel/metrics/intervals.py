@@ -16,6 +16,7 @@ RESAMPLES = 2000
 LEVEL = 0.95
 TAILS = (1.0 - LEVEL) / 2.0, 1.0 - (1.0 - LEVEL) / 2.0
 NORMAL_QUANTILE = 1.959963984540054  # below which 97.5 % of a standard normal distribution lie
+UNKNOWN = float("nan"), float("nan")  # the ends of an interval of which a single value is known
 LARGEST_QUANTILE = 12.8  # Student's for one degree of freedom is 12.71
 
 
@@ -25,8 +26,8 @@ def bootstrap_interval(
     """Return the 95 % percentile bootstrap interval of `statistic(*samples)`, each sample resampled over its games.
 
     `samples` holds arrays (games,) with one value per game: pairs of games are not independent and must be averaged
-    before. `statistic` reduces the last axis. The same seed gives the same interval. Raises ValueError for a sample
-    without games.
+    before. `statistic` reduces the last axis. The same seed gives the same interval. Its ends are NaN where a sample is
+    of one game, which tells nothing of others. Raises ValueError for a sample without games.
     """
     rng = np.random.default_rng(seed)
     resampled = []
@@ -35,6 +36,8 @@ def bootstrap_interval(
         if values.size == 0:
             raise ValueError("a bootstrap needs at least one game")
         resampled.append(values[rng.integers(values.size, size=(RESAMPLES, values.size))])
+    if any(sample.shape[1] == 1 for sample in resampled):
+        return UNKNOWN
     low, high = np.quantile(statistic(*resampled), TAILS)
     return float(low), float(high)
 
@@ -153,12 +156,14 @@ def hierarchical_interval(samples: Sequence[ArrayLike], seed: int, resamples: in
 
     `samples` has an array (games,) for each training seed; seeds are resampled, then the games of each. The interval
     lies in the range of the values and has no width where all are equal: for shares of games won take
-    `estimates.Success`. For one seed it covers its games alone. Equal `seed` gives equal intervals. Raises
-    ValueError without seeds, and for a seed without games.
+    `estimates.Success`. For one seed it covers its games alone, and of a single game its ends are NaN. Equal `seed`
+    gives equal intervals. Raises ValueError without seeds, and for a seed without games.
     """
     values = [np.asarray(sample, dtype=np.float64) for sample in samples]
     if not values or any(value.size == 0 for value in values):
         raise ValueError("a bootstrap over seeds needs at least one seed, and games of each")
+    if sum(value.size for value in values) == 1:
+        return UNKNOWN
     rng, count = np.random.default_rng(seed), len(values)
     resampled = rng.integers(count, size=(resamples, count))
     means = np.empty(resampled.shape)

@@ -74,7 +74,7 @@ class LoopOptions:
         self._check_chunks()
         speed, (slowest, fastest) = real(self.clock_speed), CLOCK_SPEEDS
         self.speed = positive_clock_speed(self.clock_speed if speed is None else speed)
-        if not slowest <= self.speed <= fastest:
+        if not slowest <= float(self.speed) <= fastest:
             raise UserError(f"clock_speed must be {slowest:g} to {fastest:g}, not {self.clock_speed}")
 
     def _check_chunks(self) -> None:

@@ -90,7 +90,8 @@ class Certificate:
         head = f"{policy['name']} in {said['environment']['id']}"
         hashes = {"policy": policy["sha256"], **({"times": by["sha256"]} if by else {}), "rows": said["rows_sha256"]}
         short = ", ".join(f"{name} {'of unknown hash' if of is None else of[:12]}" for name, of in hashes.items())
-        tail = f"{said['episodes']} episodes a latency from seed {said['seed']}; {short}"
+        episodes = "episode" if said["episodes"] == 1 else "episodes"
+        tail = f"{said['episodes']} {episodes} a latency from seed {said['seed']}; {short}"
         if self.failed:
             return f"{head}: no certificate: {self.failed} of {len(self.rows)} episodes failed; {tail}"
         if holds["latency"] is None:
@@ -111,8 +112,8 @@ class Certificate:
         for cell in self.document["cells"]:
             known = ["-"] * 3
             if cell["mean"] is not None:
-                ends = (_scored(cell[end], score) for end in ("low", "high"))
-                known = [f"{1e3 * cell['latency_s']:.4g}", _scored(cell["mean"], score), " to ".join(ends)]
+                ends = [_scored(cell[end], score) for end in ("low", "high") if cell[end] is not None]
+                known = [f"{1e3 * cell['latency_s']:.4g}", _scored(cell["mean"], score), " to ".join(ends) or "-"]
             lines.append([f"{cell['latency']:g}", *known, str(cell["errors"])])
         return header, lines
 
@@ -129,9 +130,8 @@ class Certificate:
         axes = figure.add_subplot()
         cells = [cell for cell in self.document["cells"] if cell["mean"] is not None]
         at = [1e3 * cell["latency_s"] for cell in cells]
-        mean, low, high = ([cell[name] for cell in cells] for name in ("mean", "low", "high"))
-        off = [np.subtract(mean, low), np.subtract(high, mean)]
-        axes.errorbar(at, mean, off, fmt="o-", capsize=3)
+        mean, low, high = (np.array([cell[name] for cell in cells], float) for name in ("mean", "low", "high"))
+        axes.errorbar(at, mean, [mean - low, high - mean], fmt="o-", capsize=3)
         if (least := self.document["holds"]["least"]) is not None:
             axes.axhline(least, color="0.5", linestyle="--", label=f"{SHARE:.0%} of that without latency")
             axes.legend(frameon=False)
@@ -152,9 +152,10 @@ def _cell(rows: Sequence[Row], score: str) -> Row:
         return cell | dict.fromkeys(("latency_s", "mean", "low", "high"))
     values = [float(row[score]) for row in whole_rows]
     if score == "success":
-        low, high = Proportion(round(sum(values)), len(values)).interval
+        ends = Proportion(round(sum(values)), len(values)).interval
     else:
-        low, high = bootstrap_interval((values,), lambda each: np.asarray(each.mean(axis=-1)), seed=0)
+        ends = bootstrap_interval((values,), lambda each: np.asarray(each.mean(axis=-1)), seed=0)
+    low, high = (None if np.isnan(end) else end for end in ends)
     latency_s = statistics.median(row["thinking_s"] for row in whole_rows)
     return {**cell, "latency_s": latency_s, "mean": statistics.fmean(values), "low": low, "high": high}
 
@@ -163,7 +164,7 @@ def _holds(cells: Sequence[Row], score: str) -> Row:
     """Return up to which latency, of those that were flown, the score stays near that of the first one.
 
     `latency_s` is by the mean, `surely_s` by the low end of the interval; None where an episode failed, and where there
-    is no success to be left.
+    is no success to be left. Of single episodes, which have no interval, `surely_s` is None, too.
     """
     if any(cell["errors"] for cell in cells) or (score == "success" and not cells[0]["mean"]):
         return {"share": SHARE, **dict.fromkeys(("least", "latency", "latency_s", "surely_s"))}
@@ -172,11 +173,11 @@ def _holds(cells: Sequence[Row], score: str) -> Row:
     far = dict.fromkeys(("mean", "low"), cells[0])
     for name in far:
         for cell in cells[1:]:
-            if cell[name] < least:
+            if cell[name] is None or cell[name] < least:
                 break
             far[name] = cell
     held, surely = far["mean"], far["low"]
-    surely_s = surely["latency_s"] if surely["low"] >= least else None
+    surely_s = None if surely["low"] is None or surely["low"] < least else surely["latency_s"]
     of = {"latency": held["latency"], "latency_s": held["latency_s"], "surely_s": surely_s}
     return {"share": SHARE, "least": least, **of}
 

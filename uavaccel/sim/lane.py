@@ -97,6 +97,11 @@ class Difficulty(Config):
                 f"obstacles_per_row = {self.obstacles_per_row} with half_width_m = {self.half_width_m:g} and "
                 f"min_gap_m = {self.min_gap_m:g} need {needed:g} m; the lane is {WIDTH_M:g} m wide"
             )
+        if self.obstacles_per_row and self.first_row_m - self.half_width_m <= HULL_RADIUS_M:
+            raise ValueError(
+                f"first_row_m = {self.first_row_m:g} with half_width_m = {self.half_width_m:g} reaches the start, "
+                f"within {HULL_RADIUS_M:g} m"
+            )
         return self
 
     @model_validator(mode="after")

@@ -95,7 +95,7 @@ def at(table: pd.DataFrame, command: str, clock_speed: float | None = None, **ke
 def enough(count: int, least: int, what: str) -> None:
     """Raise Undecided where a run has less than it needs."""
     if count < least:
-        raise Undecided(f"{count} {what}, at least {least} are needed")
+        raise Undecided(f"{what}: {count:g}, at least {least} are needed")
 
 
 def known(values: Any) -> FloatArray:

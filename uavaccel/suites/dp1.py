@@ -291,7 +291,7 @@ def summary_cells(scores: pd.DataFrame, seed: int) -> list[dict[str, Any]]:
             reference = reference_of(game, itself, command=game.command, games=len(real))
         if reference and len(own):
             mixed = provenance if provenance == reference["provenance"] else "mixed"
-            interval = None if itself else list(speedup_interval(real.wall_s, own.wall_s, seed))  # 1 by definition
+            interval = None if itself else speedup_interval(real.wall_s, own.wall_s, seed)  # 1 by definition
         stlc, rmse_m, gaps_s = own.stlc, own.position_rmse_m, own.gap_s.explode().astype(float)
         found = {
             **keys,
@@ -305,9 +305,9 @@ def summary_cells(scores: pd.DataFrame, seed: int) -> list[dict[str, Any]]:
             "stlc_median": stlc.median(),
             "stlc_q25": stlc.quantile(0.25),
             "stlc_q75": stlc.quantile(0.75),
-            "stlc_median_interval": list(median_interval(stlc, seed)) if stlc.count() else None,
+            "stlc_median_interval": median_interval(stlc, seed) if stlc.count() else None,
             "position_rmse_m": rmse_m.median(),
-            "position_rmse_interval_m": list(median_interval(rmse_m, seed)) if rmse_m.count() else None,
+            "position_rmse_interval_m": median_interval(rmse_m, seed) if rmse_m.count() else None,
             "position_rmse_vs_lockstep_m": own.position_rmse_vs_lockstep_m.median(),
             "duration_error_s": (own.duration_s - real.duration_s.mean()).median(),
             "command_gap_median_s": gaps_s.median(),
@@ -318,7 +318,8 @@ def summary_cells(scores: pd.DataFrame, seed: int) -> list[dict[str, Any]]:
             "real_time_factor": own.real_time_factor.mean(),
             "lost_wall_s": own.lost_wall_s.sum(min_count=1),
         }
-        cells.append({name: None if unknown(value) else value for name, value in found.items()})
+        first = {name: value[0] if isinstance(value, tuple) else value for name, value in found.items()}
+        cells.append({name: None if unknown(first[name]) else value for name, value in found.items()})
     return cells
 
 

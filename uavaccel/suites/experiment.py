@@ -38,7 +38,7 @@ def distinct(values: Distinct) -> Distinct:
     """Return the values. Raises ValueError for none, and for two with the same six digits, which name a game."""
     if not values:
         raise ValueError("needs at least one value")
-    counts = Counter(value if isinstance(value, str) else f"{value:g}" for value in values)
+    counts = Counter(value if isinstance(value, str) else f"{value + 0:g}" for value in values)
     if twice := [name for name, count in counts.items() if count > 1]:
         raise ValueError(f"has {twice[0]} twice")
     return values

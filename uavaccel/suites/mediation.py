@@ -53,7 +53,7 @@ class Factor(Config):
             raise ValueError(f"values has {list(wrong[0])}: needs a value for each of {', '.join(self.keys)}")
         if any(not isinstance(line[0], int | float) for line in self.values):
             raise ValueError(f"values: those of {self.keys[0]} must be numbers")
-        if len({line[0] for line in self.values}) < len(self.values):
+        if len({f"{line[0]:g}" for line in self.values}) < len(self.values):
             raise ValueError(f"values: each value of {self.keys[0]} once")
         return self
 
@@ -360,7 +360,7 @@ def share_of_loss(cells: Mapping[str, pd.DataFrame], share: Share, part: str) ->
     """Return the share of the success that `whole` loses which `part` loses alone, with a 95 % interval.
 
     It is resampled over trainings, of each policy once for all its flights, and over the lanes that all cells share.
-    The ends are None where a loss of `whole` is not certain.
+    The ends are None where a loss of `whole` is not certain, as of a single training on a single lane.
     """
     names, random = (share.usual, share.whole, part), np.random.default_rng(0)
     won = {name: np.stack(cells[name].won.tolist()).astype(float) for name in names}
@@ -377,7 +377,7 @@ def share_of_loss(cells: Mapping[str, pd.DataFrame], share: Share, part: str) ->
     whole, alone = losses({policy: np.arange(count) for policy, count in seeds.items()}, np.arange(lanes))
     resamples = [{policy: resampled(count) for policy, count in seeds.items()} for _ in range(RESAMPLES)]
     drawn = np.array([losses(chosen, resampled(lanes)) for chosen in resamples])
-    known = whole > 0.0 and np.quantile(drawn[:, 0], TAILS[0]) > 0.0
+    known = whole > 0.0 and max(lanes, *seeds.values()) > 1 and np.quantile(drawn[:, 0], TAILS[0]) > 0.0
     drawn = drawn[drawn[:, 0] > 0.0]  # of few games some may lose nothing
     low, high = np.quantile(drawn[:, 1] / drawn[:, 0], TAILS) if known else (None, None)
     return {"loss": whole, "alone": alone, "share": alone / whole if whole > 0.0 else None, "low": low, "high": high}

@@ -94,6 +94,10 @@ class Paper(SuiteOfRuns[PaperConfig, SimpleCase]):
 
     def check(self, config: PaperConfig) -> None:
         read_claims(config)
+        for name, part in config.parts.items():
+            suite, run = part.resolve(config.seed)
+            if (flies := f"{suite.name}-{getattr(run, 'profile', '')}".rstrip("-")) != name:
+                raise UserError(f"parts.{name}: {part.experiment} and its keys fly {flies}")
         if config.with_run is not None:
             training_run(config.with_run)
 

@@ -16,7 +16,7 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 import pandas as pd
-from pydantic import Discriminator, Field, field_validator, model_validator
+from pydantic import AfterValidator, Discriminator, Field, field_validator, model_validator
 
 from uavaccel.config import CommandName, Config, Games, Seconds, Seed
 from uavaccel.draw import style
@@ -29,7 +29,7 @@ from uavaccel.records import RunDirectory, timing_provenance
 from uavaccel.resources import require
 from uavaccel.suites import plots
 from uavaccel.suites import realtime_report as told
-from uavaccel.suites.experiment import ClockSpeeds, CommandNames, Experiment, GameRow, Row, Timing, subset
+from uavaccel.suites.experiment import ClockSpeeds, CommandNames, Experiment, GameRow, Row, Timing, distinct, subset
 from uavaccel.suites.parts import Part, acquire_gpu, part_folder, train_part
 from uavaccel.suites.report import Report, Summary, method_note, records
 from uavaccel.suites.suite import GameResult, SimpleCase, Suite
@@ -138,7 +138,7 @@ class RealtimeConfig(Experiment):
     """What else is flown, by the names that rows and figures have for it."""
     agents: Annotated[dict[str, AgentBlock], Field(min_length=1)]
     """Who flies it, by the names that rows and figures have for them."""
-    latency_s: Annotated[tuple[Delay, ...], Field(min_length=1)] = (0.0, 0.02, 0.05, 0.1, 0.2)
+    latency_s: Annotated[tuple[Delay, ...], AfterValidator(distinct)] = (0.0, 0.02, 0.05, 0.1, 0.2)
     """Wall time from an observation to its action."""
     clock_speed: ClockSpeeds = (1.0,)
     """Simulated seconds per wall second that are asked for; each value is flown."""
@@ -178,8 +178,6 @@ class RealtimeConfig(Experiment):
         for name, block in self.environments.items():
             if block.id.startswith(DRONES) and (own := sorted(OF_THE_CASES & block.keys.keys())):
                 raise ValueError(f"environments.{name}.keys: a drone has {own[0]} of each cell, not of its own")
-        if len(set(self.latency_s)) < len(self.latency_s):
-            raise ValueError(f"latency_s has a latency twice: {list(self.latency_s)}")
         return self
 
     def delay_s(self, agent: str, latency_s: float) -> float:
@@ -380,7 +378,7 @@ class Realtime(Suite[RealtimeConfig, Training]):
         rankings = [each for each in rankings if len(each["orders"][0]) > 1]
         latencies = sorted({each["latency_s"] for each in rankings})
         middle = latencies[len(latencies) // 2] if latencies else 0.0
-        said = [told.up_to_which_speed(each) for each in rankings if each["latency_s"] == middle]
+        said = [told.up_to_which_speed(each, cells) for each in rankings if each["latency_s"] == middle]
         said = [f"with {1e3 * middle:g} ms to think, {'; '.join(said)}"] if said else []
         if equal is not None:
             said.append(f"under TCSC returns {'are the same to the bit' if equal else 'DIFFER'} at every ClockSpeed")

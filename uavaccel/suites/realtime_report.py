@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from itertools import permutations
+from itertools import pairwise, permutations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
 
 from uavaccel.draw import style
-from uavaccel.draw.page import Column, Picture, Table, clock_label, listed
+from uavaccel.draw.page import Column, Picture, Table, clock_label, listed, unknown
 from uavaccel.metrics.intervals import hierarchical_interval
 from uavaccel.suites import plots
 from uavaccel.suites.report import Report
@@ -141,16 +141,24 @@ def agreement(pairs: pd.DataFrame) -> dict[str, Any]:
 def cell_in_words(cell: Mapping[str, Any]) -> str:
     """Return the result of a cell, as in "hopper-naive: return 70.2 (95 % interval 60 to 80) with 20 ms ..."."""
     of = "score" if cell.get("score_mean") is not None else "return"
-    mean, low, high = (f"{cell[f'{of}_{name}']:.4g}" for name in ("mean", "low", "high"))
+    mean, low, high = (cell[f"{of}_{name}"] for name in ("mean", "low", "high"))
     under = f"{_latency_ms(cell)} ms to think, {cell['command'].upper()} at {clock_label(cell['clock_speed'])}"
-    return f"{cell['environment']}, {cell['agent']}: {of} {mean} (95 % interval {low} to {high}) with {under}"
+    interval = "one episode" if unknown(low) else f"95 % interval {low:.4g} to {high:.4g}"
+    return f"{cell['environment']}, {cell['agent']}: {of} {mean:.4g} ({interval}) with {under}"
 
 
-def up_to_which_speed(ranking: Mapping[str, Any]) -> str:
-    """Return up to which ClockSpeed a ranking holds, as in "in hopper the ranking holds up to 5x; at 20x ..."."""
+def up_to_which_speed(ranking: Mapping[str, Any], cells: Sequence[Mapping[str, Any]]) -> str:
+    """Return up to which ClockSpeed a ranking holds, as in "in hopper the ranking holds up to 5x; at 20x ...".
+
+    At a single one it is the order of the agents, as in "in hopper small = large > slow", from their `cells`.
+    """
     where, speeds = f"in {ranking['environment']}", ranking["clock_speeds"]
     if len(speeds) < 2:
-        return f"{where} {' > '.join(ranking['orders'][0])}"
+        own = [each for each in cells if each["command"] == "adsc"]
+        own = [each for each in own if all(each[name] == ranking[name] for name in ("environment", "latency_s"))]
+        means, order = {each["agent"]: each["return_mean"] for each in own}, ranking["orders"][0]
+        others = (f" {'>' if means[one] > means[other] else '='} {other}" for one, other in pairwise(order))
+        return f"{where} {order[0]}{''.join(others)}"
     if not ranking["reversals"]:
         return f"{where} no two agents change places up to {clock_label(speeds[-1])}, the fastest flown"
     return f"{where} the ranking holds up to {clock_label(ranking['holds_to'])} ({_first_change(ranking)})"

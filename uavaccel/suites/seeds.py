@@ -15,7 +15,7 @@ from pydantic import Field, model_validator
 from typing_extensions import TypedDict
 
 from uavaccel.config import MOST_SEEDS, Games, Seed
-from uavaccel.draw.page import Block, Column, Table, counted, fill, listed
+from uavaccel.draw.page import Block, Column, Table, counted, fill, listed, unknown
 from uavaccel.envs.flight_env import FlightEnv
 from uavaccel.envs.task import Task
 from uavaccel.forms import Count, Number
@@ -155,9 +155,6 @@ class Seeds(SuiteOfRuns[SeedsConfig, SeedCase]):
             name: {"mean": mean, "low": low, "high": high, "least": min(over[name]), "most": max(over[name])}
             for name, (mean, low, high) in estimates.items()
         }
-        if len(trainings) == 1:  # which say nothing of others
-            for name in ("return_recent", "commands_recent"):
-                over_seeds[name] |= {"low": None, "high": None}
         conditions = subset(vars(report.config.task), "profile", "command", "clock_speed", "timing")
         seeds = {"seed": report.config.seed, "seeds": len(trainings), "training_games": report.config.training.games}
         return {"suite": self.name, **conditions, **seeds, "trainings": trainings, "over_seeds": over_seeds}
@@ -180,7 +177,7 @@ class Seeds(SuiteOfRuns[SeedsConfig, SeedCase]):
         over = report.summary["over_seeds"]
         header = f"of {counted(len(report.games), 'seed')}", "mean [95 % over seeds]", "least to most"
         spans = {name: fill(SPAN[name], found) for name, found in over.items()}
-        forms = {name: ALONE if found["low"] is None else MEAN for name, found in over.items()}
+        forms = {name: ALONE if unknown(found["low"]) else MEAN for name, found in over.items()}
         means = {name: fill(forms[name][name], found) for name, found in over.items()}
         return Table(header, [(QUANTITIES[name], means[name], span) for name, span in spans.items()])
 

@@ -14,6 +14,7 @@ from typing import Any, get_origin
 from uavaccel.calibration.doctor import check_machine
 from uavaccel.clock import calendar_time
 from uavaccel.config import parse_override, schema
+from uavaccel.draw.page import counted
 from uavaccel.errors import Interrupted, UsageError, UserError, mistake_of
 from uavaccel.files import Plain, check_new_folder
 from uavaccel.machine import describe_run
@@ -198,9 +199,9 @@ class Plan:
             clocks = Counter(case.timing for case in self.left)
             by_clock = ", ".join(f"{count} {timing}" for timing, count in clocks.items())
             games = sum(self.suite.games(self.config, case) for case in self.left)
-            what = f"{games:,} games"
+            what = counted(f"{games:,}", "game")
             if self.suite.unit != "games":
-                what += f" in {len(self.left)} {self.suite.unit}"
+                what += f" in {counted(len(self.left), self._noun)}"
             sources = " and ".join(sorted({timing_provenance(timing) for timing in clocks}))
             simulated_s = sum(case.simulated_s() for case in self.left)
             time = f"{simulated_s:,.0f} simulated s, wall time known after the first"
@@ -211,14 +212,20 @@ class Plan:
             yield f"a quick run, since --clock names one ClockSpeed: {keys}; all games: --set clock_speed=[{speed:g}]"
         alone = sum(case.timing == "wall" for case in self.cases)
         if alone and (self.request.jobs > 1 or self.request.engine != LOKY):
-            yield f"{alone} {self.suite.unit} on the wall clock fly alone, in this process, one by one"
+            fly = "flies" if alone == 1 else "fly"
+            yield f"{counted(alone, self._noun)} on the wall clock {fly} alone, in this process, one by one"
+
+    @property
+    def _noun(self) -> str:
+        """What one of the cases is called."""
+        return self.suite.unit.removesuffix("s")
 
     def begin(self, say: Callable[[str], object]) -> RunDirectory:
         """Return the run's folder, new or as it was left; `say` is told of renderer, machine, and what has changed."""
         manifest = manifest_of(self.suite, self.config, say)
         run = start_run(self.suite, self.config, self.out, manifest, self.request.resume)
         if "resumed" in run.manifest():
-            for line in resumption_notes(run, f"{len(self.cases)} {self.suite.unit}", manifest):
+            for line in resumption_notes(run, counted(len(self.cases), self._noun), manifest):
                 say(line)
         return run
 

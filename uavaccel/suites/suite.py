@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Generic, Protocol, TypeAlias, T
 
 import numpy as np
 
-from uavaccel.draw.page import Block, Table
+from uavaccel.draw.page import Block, Table, counted
 from uavaccel.errors import UserError, suggestion
 from uavaccel.files import Plain
 from uavaccel.forms import ArrayForm, RowForm
@@ -248,7 +248,9 @@ def choose_row(suite: AnySuite, report: Report, case: str | None = None, number:
     rows: Sequence[Row] = report.rows
     if number is not None:
         if not 0 <= number < len(rows):
-            raise UserError(f"--game {number}: {report.run.path} has {len(rows)} games, from 0 to {len(rows) - 1}")
+            raise UserError(
+                f"--game {number}: {report.run.path} has {counted(len(rows), 'game')}, from 0 to {len(rows) - 1}"
+            )
         return rows[number]
     if case is None:
         return min(rows, key=suite.interest)

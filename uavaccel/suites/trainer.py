@@ -22,7 +22,7 @@ import torch as th
 
 from uavaccel.clock import MonotonicClock
 from uavaccel.config import validate
-from uavaccel.draw.page import command_name
+from uavaccel.draw.page import command_name, counted
 from uavaccel.envs.batch import EnvironmentBatch
 from uavaccel.envs.obstacle_lane import ObstacleLane
 from uavaccel.errors import UserError
@@ -131,8 +131,8 @@ def drop_games_after_checkpoint(run: RunDirectory) -> None:
     games, rows = 0 if checkpoint is None else games_of(checkpoint), len(run.rows())
     if rows < games:
         raise UserError(
-            f"{run.path / 'rows.jsonl'}: has {rows} games, {checkpoint} knows {games}: rows are missing; put them "
-            f"back, or delete {run.path / CHECKPOINTS} and --resume to begin the training anew"
+            f"{run.path / 'rows.jsonl'}: has {counted(rows, 'game')}, {checkpoint} knows {games}: rows are missing; "
+            f"put them back, or delete {run.path / CHECKPOINTS} and --resume to begin the training anew"
         )
     run.truncate_to(games)
     if (run.path / EVALUATIONS).is_file():

@@ -131,9 +131,8 @@ def api_of(options: ServeOptions, settings: Settings) -> Api:
     """
     chosen = options.clock_speed
     speed = settings.clock_speed if chosen is None else chosen
-    with naming_settings(options.settings if chosen is None else None):
-        if speed > FASTEST:  # the simulation refuses 0 and below
-            raise UserError(f"ClockSpeed must be at most {FASTEST:g}, not {speed:g}")
+    if speed > FASTEST:  # the simulation refuses 0 and below
+        raise UserError(f"ClockSpeed must be at most {FASTEST:g}, not {speed:g}")
     if options.profile not in PROFILES:
         raise UserError(f"--profile {options.profile}: there are {', '.join(PROFILES)}")
     scene_file(options.scene, "--scene ")

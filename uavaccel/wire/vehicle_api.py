@@ -81,7 +81,8 @@ class VehicleApi(Calls, title="Vehicles"):
         there = [vehicle.place_m for vehicle in self.simulation.world.vehicles]
         north, east, down = pose.position_m[0], pose.position_m[1], min(pose.position_m[2], 0.0)
         aside_m = room_m((north, east, down + STANDING_M), there)
-        start = standing((north, east + aside_m, down), euler_from_quaternion(pose.orientation_wxyz)[2])
+        heading_rad = euler_from_quaternion(pose.orientation_wxyz)[2]
+        start = standing((north, east + aside_m, down), heading_rad, self.simulation.world.still)
         check_is_no_object(vehicle_name, self.scenery.objects.names())
         self.simulation.add_vehicles([AddedVehicle(vehicle_name, *start)])
         return True
@@ -190,7 +191,7 @@ def populate(simulation: Simulation, settings: Settings) -> None:
             start, origin_m = Start(START_M), HERE
             if vehicle.placed:
                 place = (vehicle.x or 0.0, vehicle.y or 0.0, vehicle.z or 0.0)
-                start, origin_m = standing(place, math.radians(vehicle.yaw or 0.0))
+                start, origin_m = standing(place, math.radians(vehicle.yaw or 0.0), world.still)
             if aside_m := room_m(start.position_m, taken_m):
                 start = replace(start, position_m=east_of(start.position_m, aside_m))
                 origin_m = east_of(origin_m, aside_m)
@@ -248,8 +249,11 @@ def in_world_frame(pilot: Pilot, pose: Pose) -> tuple[Vector, Quaternion]:
     return pilot.vehicle.in_world(place_m), attitude
 
 
-def standing(place_m: Vector, yaw_rad: float) -> tuple[Start, Vector]:
-    """Return a level, idle start at a place NED from the player's start, and the frame's origin, which is there."""
-    origin = (place_m[0], place_m[1], place_m[2] + STANDING_M)
+def standing(place_m: Vector, yaw_rad: float, still: bool) -> tuple[Start, Vector]:
+    """Return a level, idle start at a place NED from the player's start, and the frame's origin, which is there.
+
+    A vehicle that is only a camera, in a world that is `still`, does not stand on anything.
+    """
+    origin = (place_m[0], place_m[1], place_m[2] + (0.0 if still else STANDING_M))
     heading: Quaternion = (math.cos(yaw_rad / 2), 0.0, 0.0, math.sin(yaw_rad / 2))
     return Start(origin, heading, idle=True), origin
