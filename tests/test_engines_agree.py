@@ -529,6 +529,8 @@ OTHER_LIGHT: Keys = {
 """A game's first image is not requested again because the last game's was darker; ADSC lets each become older.
 
 In lockstep, where processing takes no time, it does not."""
+DARK_COLOURS: Keys = {**OTHER_LIGHT, "difficulty": {"light": [0.08, 0.12], "texture_variation": 1.0}}
+"""Each about as bright as the guard's floor, by the weights of red, green and blue."""
 COMES_NEAR: Keys = {
     "timing": "virtual",
     "latency": QUICK | {"request_us": {"call": [40.0, 40.0], "image": [9000.0, 9000.0]}},
@@ -602,6 +604,7 @@ STALE_FOR_THE_GUARD: Keys = {
 @example(Case(ObstacleLane, TWO_SAMPLES_OF_ONE_TICK, seed=0, commands=5, noise=0.5, work_s=0.0))
 @example(Case(ObstacleLane, HIT_BETWEEN_FRAMES, seed=0, commands=5, noise=0.0, work_s=0.0))
 @example(Case(ObstacleLane, OTHER_LIGHT, seed=0, commands=5, noise=0.5, work_s=0.0))
+@example(Case(ObstacleLane, DARK_COLOURS, seed=0, commands=9, noise=0.5, work_s=0.0))
 @example(Case(ObstacleLane, {**OTHER_LIGHT, "timing": "lockstep"}, seed=0, commands=2, noise=0.5, work_s=0.0))
 @example(Case(ObstacleLane, STANDS_BETWEEN_FRAMES, seed=0, commands=3, noise=0.0, work_s=0.0))
 @example(Case(ObstacleLane, OTHER_NOISE, seed=0, commands=5, noise=0.5, work_s=0.0))

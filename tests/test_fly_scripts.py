@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import atexit
 import json
+import logging
 from dataclasses import replace
 from pathlib import Path
 
@@ -198,10 +200,15 @@ def test_output_that_nobody_takes_is_one_line_and_none_for_nobody(
 # --- how a flight ends ---------------------------------------------------------------------------------------------
 
 
-def test_what_is_called_at_exit_and_then_destroyed_may_still_fly(folder: Folder) -> None:
+def test_what_is_called_at_exit_and_then_destroyed_may_still_fly(
+    folder: Folder, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What others have registered is called when this process ends, unless the script unregisters it."""
+    gone: list[object] = []
+    monkeypatch.setattr(atexit, "unregister", gone.append)
     folder.write("class Kept:\n    def __del__(self):\n        print(client.ping())\nkept = Kept()\n", "keeps.py")
     text = """
-        import airsim, atexit, keeps, time
+        import airsim, atexit, keeps, logging, time
 
         class Env:
             def __init__(self):
@@ -222,6 +229,7 @@ def test_what_is_called_at_exit_and_then_destroyed_may_still_fly(folder: Folder)
         atexit.register(exit, 3)
         atexit.register(lambda duration: print(client.hoverAsync().get(), client.ping()), duration=1)
         atexit.unregister(atexit.register(print, "never"))
+        atexit.unregister(logging.shutdown)
         print("first")
     """
     done = folder.fly_here(text)
@@ -229,6 +237,7 @@ def test_what_is_called_at_exit_and_then_destroyed_may_still_fly(folder: Folder)
     assert before == ["first", "False True", "last"]
     assert done.returncode == 0
     assert {first, second} == {"True", "True False None"}
+    assert logging.shutdown in gone
     assert done.stderr.splitlines()[-1] == "ZeroDivisionError: division by zero"
     assert "uavaccel" not in done.stderr
 

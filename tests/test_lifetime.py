@@ -173,11 +173,32 @@ fork_each([[]] * len(ends), int(sys.argv[1]), lambda number: ends[number]())
 """
 
 
-def test_forks_are_waited_for_and_ended_as_processes_are(capfd: pytest.CaptureFixture[str]) -> None:
+def forked() -> Forks:
     reports, told = os.pipe()
     template = lifetime.start_python("-c", TEMPLATE, str(told), pass_fds=(told,), stdout=subprocess.DEVNULL)
     os.close(told)
     (forks := Forks(template, 6, reports)).read_reports(60.0)
+    return forks
+
+
+def test_a_template_is_missed_though_forks_of_it_live_on() -> None:
+    """Whose ends nobody reports any more, so that each has ended as it did."""
+    forks = forked()
+    *_, waits, stays = forks.each()
+    forks.template.kill()
+    try:
+        while forks.read_reports(30.0):
+            pass
+        assert forks.template.returncode == -signal.SIGKILL
+        assert [waits.poll(), stays.poll()] == [None, None]
+    finally:
+        for fork in (waits, stays):
+            os.kill(fork.pid, signal.SIGKILL)
+    assert [waits.wait(), stays.wait()] == [-signal.SIGKILL] * 2
+
+
+def test_forks_are_waited_for_and_ended_as_processes_are(capfd: pytest.CaptureFixture[str]) -> None:
+    template = (forks := forked()).template
     *ended, waits, stays = forks.each()
     assert [fork.wait(60.0) for fork in ended] == [fork.poll() for fork in ended] == [0, 3, -9, 1]
     assert "ZeroDivisionError" in capfd.readouterr().err
