@@ -519,6 +519,7 @@ OTHER_LIGHT: Keys = {
     "knows": ["frame_age"],
     "timing": "virtual",
     "command": "adsc",
+    "clock_speed": 3.0,
     "image_processing_s": 0.05,
     "latency": QUICK,
     "difficulty": {"light": [0.03, 1.0]},
