@@ -36,7 +36,7 @@ from uavaccel.realtime.server import (
     spec_of,
     spec_text,
 )
-from uavaccel.units import NS_PER_S
+from uavaccel.units import NS_PER_S, real
 
 TCP = "tcp"
 ANSWER_S = 10.0
@@ -207,9 +207,9 @@ class RemotePolicy:
             self._at = None, None
         if parts.scheme != TCP or None in self._at or parts.path:
             raise UserError(f"policy {address!r}: must be tcp://host:port, as in tcp://127.0.0.1:5555")
-        if not 0 < answer_s <= 3600:
+        if (seconds := real(answer_s)) is None or not 0 < seconds <= 3600:
             raise UserError(f"answer_s: must be above 0 and at most 3600 seconds, not {answer_s!r}")
-        self.name, self._answer_s, self._clock = address, answer_s, MonotonicClock()
+        self.name, self._answer_s, self._clock = address, seconds, MonotonicClock()
         self._spec = {what: spec_of(getattr(env, f"{what}_space")) for what in ("observation", "action")}
         self._socket: socket.socket | None = None
         self._about: Mapping[str, Any] | None = None

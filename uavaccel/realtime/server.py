@@ -42,6 +42,7 @@ from numpy.typing import NDArray
 
 from uavaccel.errors import UserError
 from uavaccel.files import file_sha256, parse_json
+from uavaccel.units import whole
 
 LOOPBACK = "127.0.0.1"
 VERSION = 1
@@ -207,6 +208,8 @@ class PolicyServer(socketserver.ThreadingTCPServer):
     daemon_threads = allow_reuse_address = True
 
     def __init__(self, policy: Any, port: int = 0, host: str = LOOPBACK, env: Any = None) -> None:
+        if (number := whole(port)) is None or not 0 <= number <= 65535:
+            raise UserError(f"port: must be 0 to 65535, not {port!r}")
         self.policy, self.lock = policy, threading.Lock()
         name, sha256 = identity_of(policy)
         self.about: dict[str, Any] = {"version": VERSION, "name": name, "sha256": sha256}
@@ -214,10 +217,9 @@ class PolicyServer(socketserver.ThreadingTCPServer):
             self.about[what] = None if env is None else spec_of(getattr(env, f"{what}_space"))
         self.address_family = socket.AF_INET6 if ":" in host else socket.AF_INET
         try:
-            super().__init__((host, port), _Conversation)
-        except (OSError, OverflowError) as error:
-            said = getattr(error, "strerror", None) or error
-            raise UserError(f"policy server: cannot listen on {host}:{port}: {said}") from error
+            super().__init__((host, number), _Conversation)
+        except OSError as error:
+            raise UserError(f"policy server: cannot listen on {host}:{port}: {error.strerror or error}") from error
         at = f"[{host}]" if ":" in host else host
         self.address = f"tcp://{at}:{self.server_address[1]}"
 
