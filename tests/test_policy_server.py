@@ -474,7 +474,7 @@ def test_a_port_that_is_taken_is_one_line() -> None:
             PolicyServer(lambda seen: seen, port)
     for wrong in (99999, "5555"):
         with pytest.raises(UserError, match=f"^port: must be 0 to 65535, not {wrong!r}$"):
-            PolicyServer(lambda seen: seen, wrong)
+            PolicyServer(lambda seen: seen, wrong)  # type: ignore[arg-type]
 
 
 def test_a_server_ends_quietly_at_ctrl_c() -> None:
