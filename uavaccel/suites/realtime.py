@@ -16,7 +16,7 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 import pandas as pd
-from pydantic import Discriminator, Field, field_validator, model_validator
+from pydantic import AfterValidator, Discriminator, Field, field_validator, model_validator
 
 from uavaccel.config import CommandName, Config, Games, Seconds, Seed
 from uavaccel.draw import style
@@ -29,7 +29,7 @@ from uavaccel.records import RunDirectory, timing_provenance
 from uavaccel.resources import require
 from uavaccel.suites import plots
 from uavaccel.suites import realtime_report as told
-from uavaccel.suites.experiment import ClockSpeeds, CommandNames, Experiment, GameRow, Row, Timing, subset
+from uavaccel.suites.experiment import ClockSpeeds, CommandNames, Experiment, GameRow, Row, Timing, distinct, subset
 from uavaccel.suites.parts import Part, acquire_gpu, part_folder, train_part
 from uavaccel.suites.report import Report, Summary, method_note, records
 from uavaccel.suites.suite import GameResult, SimpleCase, Suite
@@ -121,6 +121,13 @@ class AgentBlock(Config):
             raise ValueError(f"training_delay_s must rise, not {list(self.training_delay_s)}")
         return self
 
+    @model_validator(mode="after")
+    def _predicts_what_it_sees(self) -> AgentBlock:
+        for name in ("chunk", "observe_age", "observe_actions", "observe_planned"):
+            if self.look_ahead and getattr(self, name) != type(self).model_fields[name].default:
+                raise ValueError(f"look_ahead predicts an observation, for a single action: leave out {name}")
+        return self
+
     def training_keys(self) -> dict[str, Any]:
         """Return the keys on which its training depends."""
         return self.model_dump(exclude={"look_ahead", "latency_factor"})
@@ -138,7 +145,7 @@ class RealtimeConfig(Experiment):
     """What else is flown, by the names that rows and figures have for it."""
     agents: Annotated[dict[str, AgentBlock], Field(min_length=1)]
     """Who flies it, by the names that rows and figures have for them."""
-    latency_s: Annotated[tuple[Delay, ...], Field(min_length=1)] = (0.0, 0.02, 0.05, 0.1, 0.2)
+    latency_s: Annotated[tuple[Delay, ...], AfterValidator(distinct)] = (0.0, 0.02, 0.05, 0.1, 0.2)
     """Wall time from an observation to its action."""
     clock_speed: ClockSpeeds = (1.0,)
     """Simulated seconds per wall second that are asked for; each value is flown."""
@@ -178,8 +185,6 @@ class RealtimeConfig(Experiment):
         for name, block in self.environments.items():
             if block.id.startswith(DRONES) and (own := sorted(OF_THE_CASES & block.keys.keys())):
                 raise ValueError(f"environments.{name}.keys: a drone has {own[0]} of each cell, not of its own")
-        if len(set(self.latency_s)) < len(self.latency_s):
-            raise ValueError(f"latency_s has a latency twice: {list(self.latency_s)}")
         return self
 
     def delay_s(self, agent: str, latency_s: float) -> float:
@@ -436,18 +441,21 @@ class Realtime(Suite[RealtimeConfig, Training]):
 
 def _check_agent(config: RealtimeConfig, name: str, agent: str) -> None:
     """Raise UserError for an environment that cannot be made, and for an agent that cannot act in it."""
-    from uavaccel.realtime.plant import is_of_mujoco
-    from uavaccel.suites.realtime_agents import check_learnable, timed
+    from uavaccel.realtime.plant import is_of_mujoco, layers
+    from uavaccel.suites import realtime_agents
 
     block = config.environments[name]
     try:
-        with closing(timed(block, config.agents[agent], 0.0, "adsc", 1.0)) as env:
+        with closing(realtime_agents.timed(block, config.agents[agent], 0.0, "adsc", 1.0)) as env:
             if config.agents[agent].look_ahead and not is_of_mujoco(env):
                 raise UserError("look_ahead: looks into Gymnasium's MuJoCo environments alone")
+            past = [type(each).__name__ for each in layers(env) if not isinstance(each, realtime_agents.TRANSPARENT)]
+            if config.agents[agent].look_ahead and past[:-1]:
+                raise UserError(f"look_ahead: looks past the wrapper {past[0]}: put what it does into the environment")
             if (policy := config.agents[agent].policies.get(name)) is not None:
                 load_policy(policy, env)
             else:
-                check_learnable(env)
+                realtime_agents.check_learnable(env)
     except UserError as error:
         raise UserError(f"environments.{name}, agents.{agent}: {error}") from error
     except Exception as error:  # whatever a user's environment raises
