@@ -315,7 +315,7 @@ def test_a_ranking_holds_until_two_agents_change_places_for_sure(tmp_path: Path)
 def test_a_single_episode_changes_no_places(tmp_path: Path) -> None:
     rows = [
         thinking_row(agent, "adsc", 0.05, speed, 0.0, returns=[mean])
-        for speed, means in ((1.0, {"a": 1.0, "b": 2.0}), (5.0, {"a": 2.0, "b": 1.0}))
+        for speed, means in ((1.0, {"naive": 1.0, "chunk": 2.0}), (5.0, {"naive": 2.0, "chunk": 1.0}))
         for agent, mean in means.items()
     ]
     report = made.realtime(tmp_path / "run", *rows)
@@ -399,7 +399,7 @@ def test_what_does_not_fit_is_one_line(override: str, said: str) -> None:
 
 
 def test_nobody_looks_ahead_past_a_wrapper() -> None:
-    def turned() -> Any:
+    def turned(**keys: Any) -> Any:
         return TransformAction(gymnasium.make("InvertedPendulum-v5"), np.negative, None)
 
     gymnasium.register("Turned-v0", turned)
