@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from functools import partial
-from itertools import cycle
+from itertools import cycle, permutations
 from pathlib import Path
 from typing import Any
 
@@ -405,6 +405,17 @@ def test_a_server_of_other_spaces_is_one_line() -> None:
         said = r"its observations are float32 \(4,\), the environment's float32 \(3,\)"
         with pytest.raises(UserError, match=f"^{server.address}: {said}$"):
             load_policy(server.address, Spaces())
+    counted = (
+        spaces.Discrete(3),
+        spaces.Discrete(3, start=1),
+        spaces.MultiDiscrete([2, 3]),
+        spaces.MultiDiscrete([3, 3]),
+    )
+    for here, there in permutations(counted, 2):
+        env, other = Spaces(), Spaces()
+        env.action_space, other.action_space = here, there
+        with PolicyServer(nothing, env=env) as server, pytest.raises(UserError, match=r": its actions are .* of "):
+            load_policy(server.address, other)
     said = r"its actions are '.x1b\[2J', the environment's float32"
 
     def escape(connection: socket.socket) -> None:

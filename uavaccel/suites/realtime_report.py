@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 
 from uavaccel.draw import style
-from uavaccel.draw.page import Column, Picture, Table, clock_label, fill, listed
+from uavaccel.draw.page import Column, Picture, Table, clock_label, listed
 from uavaccel.metrics.intervals import hierarchical_interval
 from uavaccel.suites import plots
 from uavaccel.suites.report import Report
@@ -256,7 +256,6 @@ def agreement_figure(pairs: pd.DataFrame, source: str) -> Figure:
 
 
 COUNTS = {"seeds": "training", "episodes": "episode"}
-INTERVAL = "{return_low:g} to {return_high:g}"
 RETURNS: dict[str, Column] = {
     "environment": "{environment}",
     "agent": "{agent}",
@@ -265,7 +264,7 @@ RETURNS: dict[str, Column] = {
     "ClockSpeed": "{clock_speed:g}x",
     "delay, simulated s": "{delay_s:.3g}",
     "return": "{return_mean:g}",
-    "95 % interval": lambda cell: "-" if pd.isna(cell["return_low"]) else fill(INTERVAL, cell),
+    "95 % interval": "{return_low:g} to {return_high:g}",
     "late at most, s": lambda cell: f"{cell['late_s']:.3f}" if cell["late_s"] else "-",
 }
 RANKINGS = ": Kendall's tau of the agents' ranking against the slowest ClockSpeed, for each latency."
