@@ -352,15 +352,31 @@ def test_a_function_flies_once_it_is_trusted(here: Path) -> None:
     assert [row["actions"] for row in rows] == [row["actions"] for row in run.rows()]
 
 
-def test_what_remembers_begins_anew_with_each_game() -> None:
+class Counts(th.nn.Module):
+    def __init__(self) -> None:
+        super().__init__()
+        self.count = 0
+
+    def forward(self, seen: th.Tensor) -> th.Tensor:
+        self.count += 1
+        return th.tensor([[0.0, 0.0, -0.25 * self.count]])
+
+    @th.jit.export
+    def reset(self) -> None:
+        self.count = 0
+
+
+@pytest.mark.parametrize("agent", ["pilot.py:counts", "counts.pt"])
+@pytest.mark.filterwarnings("ignore:.*torch.jit:DeprecationWarning")
+def test_what_remembers_begins_anew_with_each_game(agent: str) -> None:
     Path("pilot.py").write_text(PILOT)
+    th.jit.save(th.jit.script(Counts()), "counts.pt")
     with trusting():
-        rows = evaluated("pilot.py:counts", HOVER).rows()
+        rows = evaluated(agent, HOVER).rows()
         assert [row["actions"] for row in rows] == [[[0.0, 0.0, -0.25], [0.0, 0.0, -0.5], [0.0, 0.0, -0.75]]] * 2
-        with pytest.raises(
-            UserError, match=r"^simulator = kernels: pilot\.py:counts has a reset, for a game at a time"
-        ):
-            configured("evaluate", HOVER, "simulator=kernels", "task.timing=lockstep", agent="pilot.py:counts")
+        together = configured("evaluate", HOVER, "simulator=kernels", "task.timing=lockstep", agent=agent)
+        with pytest.raises(UserError, match=f"^simulator = kernels: {agent} has a reset, for a game at a time"):
+            fly_into(Path("batch"), Evaluation(), together)
 
 
 @pytest.mark.parametrize(

@@ -201,6 +201,8 @@ watch flown --film f.mp4; watch filmed --film f.mp4; export flown --csv f
 export .; export . --csv f --case a; export . --csv f; export nowhere --onnx f.onnx; timing advise --thinking 90000
 timing advise --t-move 0.001; timing certify p.onnx CartPole-v1 --latency a --latency b
 timing certify p.onnx CartPole-v1 --latency a --latency 1; timing certify p.onnx CartPole-v1 --factor 2
+timing certify p.onnx CartPole-v1 --delay 2 --latency 0.1; timing certify p.onnx CartPole-v1 --latency nan
+timing certify p.onnx CartPole-v1 --latency p.json --factor nan; timing certify p.onnx CartPole-v1 --delay 3601
 timing certify p.onnx CartPole-v1 --set env=2; timing certify p.onnx CartPole-v1 --set chnk=2
 timing certify default CartPole-v1 --delay 1; timing certify there.py:act none.such:CartPole-v1 --delay 1
 timing measure there.py:act CartPole-v1 --out there.py; timing calibrate --out there.py; timing nothing; init .

@@ -289,6 +289,8 @@ def test_a_model_of_other_spaces_is_one_line() -> None:
     sb3.PPO("MlpPolicy", gymnasium.make("CartPole-v1"), policy_kwargs={"net_arch": [8]}, device="cpu").save("model.zip")
     with pytest.raises(UserError, match=r"^model\.zip: its observations are \(4,\), the environment's \(3,\)$"):
         load_policy("model.zip", gymnasium.make("Pendulum-v1"))
+    with pytest.raises(UserError, match=r"^SumOfTwo: cannot be run on these observations: TypeError: .*missing 1"):
+        load_policy(SumOfTwo(), REACH)(np.zeros(4))
     with pytest.raises(UserError, match=r"^Linear: cannot be run on these observations: mat1 and mat2 shapes"):
         load_policy(th.nn.Linear(9, 2), REACH)(np.zeros(4))
     with pytest.raises(UserError, match=r"^Linear: gives \(1, 9\) numbers for 1 actions, each \(2,\)$"):

@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from functools import partial
-from itertools import cycle
+from itertools import cycle, permutations
 from pathlib import Path
 from typing import Any
 
@@ -405,6 +405,17 @@ def test_a_server_of_other_spaces_is_one_line() -> None:
         said = r"its observations are float32 \(4,\), the environment's float32 \(3,\)"
         with pytest.raises(UserError, match=f"^{server.address}: {said}$"):
             load_policy(server.address, Spaces())
+    counted = (
+        spaces.Discrete(3),
+        spaces.Discrete(3, start=1),
+        spaces.MultiDiscrete([2, 3]),
+        spaces.MultiDiscrete([3, 3]),
+    )
+    for here, there in permutations(counted, 2):
+        env, other = Spaces(), Spaces()
+        env.action_space, other.action_space = here, there
+        with PolicyServer(nothing, env=env) as server, pytest.raises(UserError, match=r": its actions are .* of "):
+            load_policy(server.address, other)
     said = r"its actions are '.x1b\[2J', the environment's float32"
 
     def escape(connection: socket.socket) -> None:
@@ -472,8 +483,9 @@ def test_a_port_that_is_taken_is_one_line() -> None:
         port = server.server_address[1]
         with pytest.raises(UserError, match=f"^policy server: cannot listen on 127.0.0.1:{port}: Address already in"):
             PolicyServer(lambda seen: seen, port)
-    with pytest.raises(UserError, match=r"^policy server: cannot listen on 127.0.0.1:99999: "):
-        PolicyServer(lambda seen: seen, 99999)
+    for wrong in (99999, "5555"):
+        with pytest.raises(UserError, match=f"^port: must be 0 to 65535, not {wrong!r}$"):
+            PolicyServer(lambda seen: seen, wrong)  # type: ignore[arg-type]
 
 
 def test_a_server_ends_quietly_at_ctrl_c() -> None:

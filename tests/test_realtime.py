@@ -312,6 +312,10 @@ HOVER: dict[str, Any] = {"timing": "virtual"}
         ({"latency_s": None, "delay_steps": 0.5}, "delay_steps: must be a count of control periods, or a list .* 0.5"),
         ({"latency_s": None, "delay_steps": [1, -1]}, r"delay_steps: must be a count .* not \[1, -1\]"),
         ({"latency_s": None, "delay_steps": []}, r"delay_steps: must be a count .* not \[\]"),
+        (
+            {"latency_s": None, "delay_steps": 1, "period_s": 1e-9, "clock_speed": 3},
+            "delay_steps: ticks of 1 ns are shorter than 1 ns at clock_speed 3",
+        ),
         ({"latency_s": None, "delay_steps": 10**6}, "delay_steps: 1000000 are 20000 seconds; at most 3600 may pass"),
         ({"chunk": 4, "execute": 2, "early": 2}, "early: must be less than execute = 2, not 2"),
         ({"chunk": 4, "early": 1, "overlap": True}, "early, overlap: each says when the agent observes again"),

@@ -10,10 +10,12 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import gymnasium
 import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 import pytest
+from gymnasium.wrappers import TransformAction
 
 from tests import made_runs as made
 from tests.drawing import labelled
@@ -310,6 +312,25 @@ def test_a_ranking_holds_until_two_agents_change_places_for_sure(tmp_path: Path)
     assert broken["reversals"] == [{"clock_speed": 20, "ahead": "c", "behind": each} for each in ("a", "b")]
 
 
+def test_a_single_episode_changes_no_places(tmp_path: Path) -> None:
+    rows = [
+        thinking_row(agent, "adsc", 0.05, speed, 0.0, returns=[mean])
+        for speed, means in ((1.0, {"naive": 1.0, "chunk": 2.0}), (5.0, {"naive": 2.0, "chunk": 1.0}))
+        for agent, mean in means.items()
+    ]
+    report = made.realtime(tmp_path / "run", *rows)
+    (ranking,) = report.summary["rankings"]
+    assert (ranking["holds_to"], ranking["kendall_tau"]) == (5, [1.0, -1.0])
+    assert {cell["return_low"] for cell in report.summary["cells"]} == {None}
+    report.write()
+    assert "| 2 | - | - |" in (tmp_path / "run" / "report.md").read_text()
+
+
+def test_equal_agents_are_told_to_be_equal(tmp_path: Path) -> None:
+    rows = [thinking_row(agent, "adsc", 0.05, 1.0, mean) for agent, mean in (("a", 1.0), ("b", 2.0), ("c", 2.0))]
+    assert made.realtime(tmp_path / "run", *rows).headline() == "With 50 ms to think, in pendulum b = c > a"
+
+
 @pytest.mark.parametrize(("reversed_at", "holds_to"), [((), 50), ((5, 20), 1), ((20, 50), 5), ((5,), 1)])
 def test_a_ranking_holds_up_to_its_first_change(
     tmp_path: Path, reversed_at: tuple[float, ...], holds_to: float
@@ -366,6 +387,11 @@ def test_what_is_flown_is_what_the_simulated_clock_models(run: RunDirectory, tmp
         ("agents={a: {training_delay_s: [0.2, 0.1]}}", "training_delay_s must rise"),
         ("agents={a/b: {}}", "'a/b' names files: letters, digits and _ alone"),
         ("latency_s=[0.1, 0.1]", "latency_s = .*: has 0.1 twice"),
+<<<<<<< HEAD
+=======
+        ("agents={a: {look_ahead: true, chunk: 2}}", "look_ahead predicts .*, for a single action: leave out chunk"),
+        ("agents={a: {look_ahead: true, observe_age: true}}", "look_ahead predicts .*: leave out observe_age"),
+>>>>>>> adv2
         ("timing=wall", "look_ahead needs timing virtual"),
     ],
 )
@@ -373,6 +399,15 @@ def test_what_does_not_fit_is_one_line(override: str, said: str) -> None:
     with pytest.raises(UserError, match=said) as caught:
         Realtime().check(configured("realtime_smoke", *TINY, override))
     assert "\n" not in str(caught.value)
+
+
+def test_nobody_looks_ahead_past_a_wrapper() -> None:
+    def turned(**keys: Any) -> Any:
+        return TransformAction(gymnasium.make("InvertedPendulum-v5"), np.negative, None)
+
+    gymnasium.register("Turned-v0", turned)
+    with pytest.raises(UserError, match=r"^environments\.x, agents\.look_ahead: .*past the wrapper TransformAction: "):
+        Realtime().check(configured("realtime_smoke", *TINY, "environments={x: {id: Turned-v0}}"))
 
 
 @pytest.mark.parametrize(

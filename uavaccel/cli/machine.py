@@ -220,7 +220,7 @@ def certify(
     from uavaccel.own_code import trusting
     from uavaccel.realtime import certify as certified
 
-    seconds, file = _latencies(latency or [], factor or [])
+    seconds, file = _latencies(latency or [], factor or [], delay or [])
     make, keys = _environment(env, policy, overrides)
     with trusting(trust), _own_errors(env), working("episodes") as advance:
         how: dict[str, Any] = {"episodes": episodes, "seed": seed, "success": success, "out": out, "resume": resume}
@@ -233,14 +233,23 @@ def certify(
     console.print(f"certificate: {out / 'certificate.json'}; figure: {found.figure(out / 'certificate.png')}")
 
 
-def _latencies(given: Sequence[str], factors: Sequence[float]) -> tuple[list[float] | None, str | None]:
-    """Return seconds, or factors and the file that they are of. Raises UsageError for both at once."""
+def _latencies(
+    given: Sequence[str], factors: Sequence[float], delays: Sequence[int]
+) -> tuple[list[float] | None, str | None]:
+    """Return seconds, or factors and the file that they are of. Raises UsageError for several at once, or too many."""
+    from uavaccel.realtime.thinking import MOST_S
+
     seconds, files = [], []
     for each in given:
         try:
             seconds.append(float(each))
         except ValueError:
             files.append(each)
+    if delays and given:
+        raise UsageError(f"--delay {delays[0]}: counts control periods; leave out --latency, or this")
+    for name, numbers in (("latency", seconds), ("factor", factors), ("delay", delays)):
+        if wrong := [each for each in numbers if not 0 <= each <= MOST_S]:
+            raise UsageError(f"--{name} {wrong[0]:g}: must be 0 to {MOST_S:g}")
     if len(files) > 1 or (files and seconds):
         raise UsageError(f"--latency {files[0]}: takes seconds, several of them, or one calibration file")
     if factors and not files:

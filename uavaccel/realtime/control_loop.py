@@ -156,8 +156,16 @@ class ControlLoop:
         return ceil_div(ticks * self._tick_wall, self._numerator)
 
     def wall_ns_of_periods(self, periods: int) -> int:
-        """Return the longest wall time within which no more than so many control periods pass."""
-        return periods * self.plant.period_ticks * self._tick_wall // self._numerator
+        """Return the longest wall time within which no more than so many control periods pass.
+
+        Raises UserError where fewer pass in it: where a tick takes less than a nanosecond of it.
+        """
+        ticks = periods * self.plant.period_ticks
+        wall_ns = ticks * self._tick_wall // self._numerator
+        if ceil_div(wall_ns * self._numerator, self._tick_wall) < ticks:
+            tick_ns, speed = self.plant.tick_ns, self.options.clock_speed
+            raise UserError(f"delay_steps: ticks of {tick_ns} ns are shorter than 1 ns at clock_speed {speed:g}")
+        return wall_ns
 
     def step(self, action: Action) -> Period:
         """Apply a single action for its control period; no time has passed since the last observation."""

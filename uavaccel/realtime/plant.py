@@ -155,7 +155,7 @@ class MujocoPlant(Plant):
         name = f"{type(inside).__name__}.frame_skip"
         self.period_ticks, self._ticks = counted(name, inside.frame_skip, 1, MOST_TICKS, " physics steps"), 0
         self._has_clock = hasattr(getattr(inside, "data", None), "time")
-        self._limits: list[Any] = [layer for layer in _layers(env) if isinstance(layer, TimeLimit)]
+        self._limits: list[Any] = [layer for layer in layers(env) if isinstance(layer, TimeLimit)]
 
     def reset(self) -> None:
         self._ticks = 0
@@ -217,11 +217,11 @@ def plant_of(env: gymnasium.Env[Any, Any], period_s: float | None) -> Plant:
 
 def refuse_real_time_in(env: Any) -> None:
     """Raise UserError for an environment that is in real time already: a second thinking time would hide the first."""
-    for name in (type(layer).__name__ for layer in _layers(env) if getattr(layer, "keeps_real_time", False)):
+    for name in (type(layer).__name__ for layer in layers(env) if getattr(layer, "keeps_real_time", False)):
         raise UserError(f"{name} is in real time already; give one wrapper the whole latency_s")
 
 
-def _layers(env: Any) -> Iterator[Any]:
+def layers(env: Any) -> Iterator[Any]:
     """Yield an environment's wrappers, the outer one first, and what they wrap."""
     yield env
     while isinstance(env, gymnasium.Wrapper | gymnasium.vector.VectorWrapper):

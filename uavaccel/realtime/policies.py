@@ -13,6 +13,7 @@ import sys
 import weakref
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 from typing import Any, Protocol, cast
 from urllib.parse import urlsplit
@@ -27,6 +28,7 @@ from uavaccel.own_code import errors_named, own_function, takes, trusting
 from uavaccel.realtime.policy_files import BatchPolicy, Space, form_of, module_policy, policy_file
 from uavaccel.realtime.server import (
     VERSION,
+    WHAT,
     Frame,
     StreamError,
     begin,
@@ -35,8 +37,9 @@ from uavaccel.realtime.server import (
     read_frame,
     spec_of,
     spec_text,
+    values_of,
 )
-from uavaccel.units import NS_PER_S
+from uavaccel.units import NS_PER_S, real
 
 TCP = "tcp"
 ANSWER_S = 10.0
@@ -207,10 +210,11 @@ class RemotePolicy:
             self._at = None, None
         if parts.scheme != TCP or None in self._at or parts.path:
             raise UserError(f"policy {address!r}: must be tcp://host:port, as in tcp://127.0.0.1:5555")
-        if not 0 < answer_s <= 3600:
+        if (seconds := real(answer_s)) is None or not 0 < seconds <= 3600:
             raise UserError(f"answer_s: must be above 0 and at most 3600 seconds, not {answer_s!r}")
-        self.name, self._answer_s, self._clock = address, answer_s, MonotonicClock()
-        self._spec = {what: spec_of(getattr(env, f"{what}_space")) for what in ("observation", "action")}
+        self.name, self._answer_s, self._clock = address, seconds, MonotonicClock()
+        self._spec = {what: spec_of(getattr(env, f"{what}_space")) for what in WHAT}
+        self._values = {what: values_of(getattr(env, f"{what}_space")) for what in WHAT}
         self._socket: socket.socket | None = None
         self._about: Mapping[str, Any] | None = None
         self._connect()
@@ -255,8 +259,9 @@ class RemotePolicy:
     def _check(self, about: Mapping[str, Any]) -> None:
         if (version := about.get("version")) != VERSION:
             raise UserError(f"{self.name}: speaks version {one_line(version)} of the protocol, not {VERSION}")
-        for what, ours in self._spec.items():
-            if (theirs := about.get(what)) not in (None, ours):
+        values = about["values"] if isinstance(about.get("values"), Mapping) else {}  # not every server says them
+        for (own, said), what in product(((self._spec, about), (self._values, values)), WHAT):
+            if (theirs := said.get(what)) not in (None, ours := own[what]):
                 form = one_line(spec_text(theirs))
                 raise UserError(f"{self.name}: its {what}s are {form}, the environment's {spec_text(ours)}")
         if self._about is not None and about.get("sha256") != self._about.get("sha256"):

@@ -364,14 +364,18 @@ def module_policy(module: Any, actions: Space, name: str) -> BatchPolicy:
         try:
             with th.inference_mode():
                 answer = module(given)
-        except RuntimeError as error:
+            answer = answer[0] if isinstance(answer, tuple | list) else answer
+            answer = answer.cpu().numpy() if isinstance(answer, th.Tensor) else answer
+        except Exception as error:  # whatever a module of anybody's raises
             raise UserError(f"{name}: cannot be run on these observations: {_last_line(error)}") from error
-        answer = answer[0] if isinstance(answer, tuple | list) else answer
-        return actions_of(answer.cpu().numpy() if isinstance(answer, th.Tensor) else answer, count, actions, name)
+        return actions_of(answer, count, actions, name)
 
     return policy
 
 
 def _last_line(error: Exception) -> str:
-    """Return the last line of an error of TorchScript, which lists the calls first."""
-    return one_line(str(error).strip().splitlines()[-1])
+    """Return the last line of an error, since one of TorchScript lists the calls first, and its kind where that says
+    more.
+    """
+    said = (str(error).strip().splitlines() or [""])[-1]
+    return one_line(said if said and isinstance(error, RuntimeError) else f"{type(error).__name__}: {said}")

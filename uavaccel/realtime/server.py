@@ -16,7 +16,8 @@ a frame may be is refused before it is read. The client asks, the server answers
     act     arrays: an observation                                 action  arrays: the action
 
 or with `error` and a line. A space is a mapping of the names of its arrays, which is "" where it is a single one, to
-`dtype`, `shape` and, of a discrete one, `n`.
+`dtype`, `shape` and, of a discrete one, `n`. The server's hello may have `values`, too: of each of both spaces, of its
+arrays that count, `start`, the least values, and `n`, how many there are.
 """
 
 from __future__ import annotations
@@ -42,6 +43,7 @@ from numpy.typing import NDArray
 
 from uavaccel.errors import UserError
 from uavaccel.files import file_sha256, parse_json
+from uavaccel.units import plain, whole
 
 LOOPBACK = "127.0.0.1"
 VERSION = 1
@@ -52,6 +54,7 @@ DTYPES = ("bool", *(f"{kind}{bits}" for kind in ("int", "uint") for bits in (8, 
 DTYPES += ("float16", "float32", "float64")
 MOST_AXES = 16
 PATIENCE_S = 10.0  # for the rest of a frame that has begun
+WHAT = ("observation", "action")
 END_S = 0.02  # within which a server that serves beside its program ends
 
 Parts = Mapping[str, NDArray[Any]]
@@ -149,16 +152,29 @@ def spec_of(space: Any) -> Spec:
     raise UserError(f"policy server: carries arrays, and dictionaries of arrays, not a {space}")
 
 
+def values_of(space: Any) -> dict[str, dict[str, Any]]:
+    """Return what the protocol says of the values of a space's arrays that count."""
+    from gymnasium import spaces
+
+    parts: Mapping[str, Any] = space.spaces if isinstance(space, spaces.Dict) else {"": space}
+    counts = {name: part.n for name, part in parts.items() if isinstance(part, spaces.Discrete)}
+    counts |= {name: part.nvec for name, part in parts.items() if isinstance(part, spaces.MultiDiscrete)}
+    return {name: {"start": plain(parts[name].start), "n": plain(count)} for name, count in counts.items()}
+
+
 def spec_text(spec: object) -> str:
-    """Return a space of the protocol in words, as in "float32 (17,)"; what is none, as it is."""
+    """Return a space or its values in words, as in "float32 (17,)" and "one of 3 from 0"; what is none, as it is."""
     try:
-        parts = [
-            (name, f"one of {part['n']}" if "n" in part else f"{part['dtype']} {tuple(part['shape'])}")
-            for name, part in spec.items()  # type: ignore[attr-defined]
-        ]
+        parts = [(name, _part_text(part)) for name, part in spec.items()]  # type: ignore[attr-defined]
     except (AttributeError, KeyError, TypeError):
         return repr(spec)[:200]
     return ", ".join(f"{name} {text}".strip() for name, text in parts)
+
+
+def _part_text(part: Mapping[str, Any]) -> str:
+    if "n" not in part:
+        return f"{part['dtype']} {tuple(part['shape'])}"
+    return f"one of {part['n']} from {part['start']}" if "start" in part else f"one of {part['n']}"
 
 
 def one_line(said: object) -> str:
@@ -207,17 +223,20 @@ class PolicyServer(socketserver.ThreadingTCPServer):
     daemon_threads = allow_reuse_address = True
 
     def __init__(self, policy: Any, port: int = 0, host: str = LOOPBACK, env: Any = None) -> None:
+        if (number := whole(port)) is None or not 0 <= number <= 65535:
+            raise UserError(f"port: must be 0 to 65535, not {port!r}")
         self.policy, self.lock = policy, threading.Lock()
         name, sha256 = identity_of(policy)
         self.about: dict[str, Any] = {"version": VERSION, "name": name, "sha256": sha256}
-        for what in ("observation", "action"):
+        for what in WHAT:
             self.about[what] = None if env is None else spec_of(getattr(env, f"{what}_space"))
+        if env is not None:
+            self.about["values"] = {what: values_of(getattr(env, f"{what}_space")) for what in WHAT}
         self.address_family = socket.AF_INET6 if ":" in host else socket.AF_INET
         try:
-            super().__init__((host, port), _Conversation)
-        except (OSError, OverflowError) as error:
-            said = getattr(error, "strerror", None) or error
-            raise UserError(f"policy server: cannot listen on {host}:{port}: {said}") from error
+            super().__init__((host, number), _Conversation)
+        except OSError as error:
+            raise UserError(f"policy server: cannot listen on {host}:{port}: {error.strerror or error}") from error
         at = f"[{host}]" if ":" in host else host
         self.address = f"tcp://{at}:{self.server_address[1]}"
 

@@ -53,11 +53,20 @@ class Agent(Protocol):
 class BatchAgent:
     """Chooses actions for many observations at once, without the infos.
 
-    `act_on` returns the actions, (n,) or (n, size), for observations (n, ...).
+    `act_on` returns the actions, (n,) or (n, size), for observations (n, ...); `state` has its `reset`, if it has one.
     """
 
-    def __init__(self, act_on: Callable[[Observation], NDArray[Any]]) -> None:
-        self.act_on = act_on
+    def __init__(self, act_on: Callable[[Observation], NDArray[Any]], state: Any = None) -> None:
+        self.act_on, self.state = act_on, state
+
+    @property
+    def remembers(self) -> bool:
+        """Whether it has a `reset`, and may not fly several games at a time."""
+        return hasattr(self.state, "reset")
+
+    def reset(self, seed: int) -> None:
+        """Begin a game."""
+        begin(self.state, seed)
 
     def act(self, observation: Observation, info: Info) -> Action:
         """Return a discrete action as an int, a continuous one as an array."""
@@ -247,7 +256,8 @@ class AgentFile(Origin):
         yield from self.policy.forms(task.observation_space(), task.action_space())
 
     def make(self, task: Task) -> Agent:
-        return BatchAgent(self.policy.load(task.observation_space(), task.action_space()))
+        act_on = self.policy.load(task.observation_space(), task.action_space())
+        return BatchAgent(act_on, self.policy.state)
 
 
 class PolicyFolder(Origin):

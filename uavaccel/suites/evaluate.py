@@ -185,8 +185,6 @@ class Evaluation(Suite[EvaluateConfig, Game]):
         check_names(config.simulator, config.device)
         if config.device == CUDA and isinstance(origin, OwnFunction):
             raise UserError(f"device = cuda: {config.agent} decides game by game, on the CPU: take device = cpu")
-        if config.simulator == KERNELS and isinstance(origin, OwnFunction) and origin.remembers:
-            raise UserError(f"simulator = kernels: {config.agent} has a reset, for a game at a time: take mujoco")
         if config.simulator == KERNELS:
             check_flyable(config.task, 1, config.device)
 
@@ -210,7 +208,7 @@ class Evaluation(Suite[EvaluateConfig, Game]):
 
         th.set_num_threads(1)
         with closing(config.environment_class(**config.task.model_dump(mode="json"))) as environment:
-            agent = make_agent(config.agent, config.task)
+            agent = agent_of(config)
             yield lambda lane: GameResult(fly_game(config, environment, agent, lane))
 
     def fly(self, config: EvaluateConfig, case: Game, opened: Callable[[int], GameResult]) -> GameResult:
@@ -227,9 +225,12 @@ class Evaluation(Suite[EvaluateConfig, Game]):
         return config.task.observation != "state" and config.simulator != KERNELS
 
     def provenance(self, config: EvaluateConfig) -> Mapping[str, object]:
-        """Return the policy's hash and the simulator. Raises UserError for unreadable weights or a missing device."""
+        """Return the policy's hash and the simulator.
+
+        Raises UserError for unreadable weights, a missing device, and an agent that remembers where lanes are a batch.
+        """
         check_simulator(config.simulator, config.device)
-        make_agent(config.agent, config.task)  # the weights too: nothing is written yet
+        agent_of(config)  # the weights too: nothing is written yet
         by = {"simulator": config.simulator, "device": config.device, **super().provenance(config)}
         return {"policy_sha256": origin_of(config.agent).sha256(), **by}
 
@@ -364,6 +365,14 @@ def fly_lane(config: EvaluateConfig, environment: Flyable, agent: Agent, lane: i
         step = Step(observation, action, *environment.step(action))
         observation, info, over = step.observation, step.info, step.terminated or step.truncated
         yield step
+
+
+def agent_of(config: EvaluateConfig) -> Agent:
+    """Make the agent. Raises UserError for unreadable weights, and for one that remembers where lanes are a batch."""
+    agent = make_agent(config.agent, config.task)
+    if config.simulator == KERNELS and getattr(agent, "remembers", False):
+        raise UserError(f"simulator = kernels: {config.agent} has a reset, for a game at a time: take mujoco")
+    return agent
 
 
 def fly_game(config: EvaluateConfig, environment: Flyable, agent: Agent, lane: int) -> AnyRow:

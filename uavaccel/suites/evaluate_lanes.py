@@ -31,9 +31,9 @@ from uavaccel.envs.simulators import CUDA, KERNELS
 from uavaccel.envs.values import Action, Info, Observation
 from uavaccel.machine import usable_cores
 from uavaccel.own_code import folder_of, trusted_folder, trusting
-from uavaccel.rl.agents import Agent, BatchAgent, PolicyAgent, make_agent, reset_options
+from uavaccel.rl.agents import Agent, BatchAgent, PolicyAgent, reset_options
 from uavaccel.rl.config import DOUBLE_DQN, PPO
-from uavaccel.suites.evaluate import AnyRow, EvaluateConfig, fly_game, game_seed, row_of
+from uavaccel.suites.evaluate import AnyRow, EvaluateConfig, agent_of, fly_game, game_seed, row_of
 from uavaccel.suites.experiment import number_of, timed
 from uavaccel.suites.suite import GameResult
 from uavaccel.units import NS_PER_S
@@ -96,7 +96,7 @@ def set_agent(environment: FlightEnv[Any], config: Mapping[str, object], folder:
     th.set_num_threads(1)
     with trusting(beside=None if folder is None else Path(folder)):
         checked = validate(EvaluateConfig, config, "evaluation")
-        _evaluates[environment] = checked, make_agent(checked.agent, checked.task)
+        _evaluates[environment] = checked, agent_of(checked)
 
 
 def fly(environment: FlightEnv[Any], lane: int) -> TimedRow:
@@ -160,7 +160,7 @@ class LanesOnCores:
 
         task = config.task.model_dump(mode="json")
         self._batch = KernelBatch(config.environment_class, len(lanes), autoreset_mode="Disabled", **task)
-        self._agent: Agent = make_agent(config.agent, config.task)
+        self._agent = agent_of(config)
         self._lanes, self._inference_s = lanes, config.inference_s
         self._raters = ThreadPoolExecutor(usable_cores(), initializer=th.set_num_threads, initargs=(1,))
         options = [reset_options(config.env_id, lane) for lane in lanes]
@@ -214,7 +214,7 @@ class LanesOnGpu:
         self._lanes.games.seed([game_seed(config, lane) for lane in lanes])
         self._lanes.games.sample_games([reset_options(config.env_id, lane) for lane in lanes])
         self._lanes.begin()
-        self._agent: Agent = make_agent(config.agent, config.task)
+        self._agent = agent_of(config)
         self._recorded: Callable[[th.Tensor], th.Tensor] | None = None
         self._asked: Callable[[th.Tensor], th.Tensor] | None = None
         if isinstance(self._agent, PolicyAgent):

@@ -121,6 +121,13 @@ class AgentBlock(Config):
             raise ValueError(f"training_delay_s must rise, not {list(self.training_delay_s)}")
         return self
 
+    @model_validator(mode="after")
+    def _predicts_what_it_sees(self) -> AgentBlock:
+        for name in ("chunk", "observe_age", "observe_actions", "observe_planned"):
+            if self.look_ahead and getattr(self, name) != type(self).model_fields[name].default:
+                raise ValueError(f"look_ahead predicts an observation, for a single action: leave out {name}")
+        return self
+
     def training_keys(self) -> dict[str, Any]:
         """Return the keys on which its training depends."""
         return self.model_dump(exclude={"look_ahead", "latency_factor"})
@@ -434,18 +441,21 @@ class Realtime(Suite[RealtimeConfig, Training]):
 
 def _check_agent(config: RealtimeConfig, name: str, agent: str) -> None:
     """Raise UserError for an environment that cannot be made, and for an agent that cannot act in it."""
-    from uavaccel.realtime.plant import is_of_mujoco
-    from uavaccel.suites.realtime_agents import check_learnable, timed
+    from uavaccel.realtime.plant import is_of_mujoco, layers
+    from uavaccel.suites import realtime_agents
 
     block = config.environments[name]
     try:
-        with closing(timed(block, config.agents[agent], 0.0, "adsc", 1.0)) as env:
+        with closing(realtime_agents.timed(block, config.agents[agent], 0.0, "adsc", 1.0)) as env:
             if config.agents[agent].look_ahead and not is_of_mujoco(env):
                 raise UserError("look_ahead: looks into Gymnasium's MuJoCo environments alone")
+            past = [type(each).__name__ for each in layers(env) if not isinstance(each, realtime_agents.TRANSPARENT)]
+            if config.agents[agent].look_ahead and past[:-1]:
+                raise UserError(f"look_ahead: looks past the wrapper {past[0]}: put what it does into the environment")
             if (policy := config.agents[agent].policies.get(name)) is not None:
                 load_policy(policy, env)
             else:
-                check_learnable(env)
+                realtime_agents.check_learnable(env)
     except UserError as error:
         raise UserError(f"environments.{name}, agents.{agent}: {error}") from error
     except Exception as error:  # whatever a user's environment raises

@@ -11,6 +11,7 @@ import gymnasium
 import mujoco
 import numpy as np
 from gymnasium import spaces
+from gymnasium.wrappers import OrderEnforcing, PassiveEnvChecker, TimeLimit
 from numpy.typing import NDArray
 
 import uavaccel.envs  # noqa: F401  registers the drones'
@@ -27,6 +28,8 @@ from uavaccel.units import seconds_to_ns
 Env = gymnasium.Env[Any, Any]
 Act = Callable[[Any], Any]
 Weights = dict[str, NDArray[Any]]
+TRANSPARENT = (RealTime, TimeLimit, OrderEnforcing, PassiveEnvChecker)
+"""Wrappers that change neither observations nor actions, but for RealTime's own."""
 
 
 def make(block: EnvironmentBlock, command: str, clock_speed: float) -> Env:

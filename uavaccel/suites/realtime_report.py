@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+<<<<<<< HEAD
 from itertools import pairwise, permutations
+=======
+from itertools import chain, pairwise, permutations
+>>>>>>> adv2
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -31,12 +35,13 @@ def cells_of(report: Report) -> pd.DataFrame:
     """Return a cell for each agent, latency, ClockSpeed and command, in the order of the rows.
 
     `delay_s` is the median of simulated seconds from an observation to its action; intervals are over trainings and
-    episodes.
+    episodes, and NaN of a single one.
     """
 
     def cell(own: pd.DataFrame) -> dict[str, Any]:
         returns = own.returns.tolist()
-        low, high = hierarchical_interval(returns, report.config.seed)
+        alone = sum(map(len, returns)) == 1  # a return, which says nothing of others
+        low, high = (np.nan, np.nan) if alone else hierarchical_interval(returns, report.config.seed)
         found = {"mean": float(np.mean([np.mean(each) for each in returns])), "low": low, "high": high}
         scale = report.config.scale(own.environment.iloc[0])
         scores = {} if scale is None else {f"score_{name}": _on(scale, value) for name, value in found.items()}
@@ -76,7 +81,7 @@ def results(report: Report) -> str:
 
 
 def ranking(cells: pd.DataFrame) -> dict[str, Any]:
-    """Return the order of the agents at each ClockSpeed, best first, and how far it is that at the slowest.
+    """Return the agents and their returns at each ClockSpeed, best first, and how far the order is that at the slowest.
 
     `holds_to` is the largest ClockSpeed up to which no two agents change places.
     """
@@ -84,10 +89,11 @@ def ranking(cells: pd.DataFrame) -> dict[str, Any]:
     speeds, slowest = list(by_speed), next(iter(by_speed.values()))
     reversals = [each for speed in speeds[1:] for each in _reversals(slowest, by_speed[speed], speed)]
     broken = min((reversal["clock_speed"] for reversal in reversals), default=np.inf)
-    means = [own.return_mean for own in by_speed.values()]
+    means = [own.return_mean.sort_values(ascending=False, kind="stable") for own in by_speed.values()]
     return {
         "clock_speeds": speeds,
-        "orders": [here.sort_values(ascending=False, kind="stable").index.tolist() for here in means],
+        "orders": [here.index.tolist() for here in means],
+        "returns": [here.tolist() for here in means],
         "kendall_tau": [kendall_tau(means[0], here) for here in means],
         "holds_to": max(speed for speed in speeds if speed < broken),
         "reversals": reversals,
@@ -142,9 +148,15 @@ def cell_in_words(cell: Mapping[str, Any]) -> str:
     """Return the result of a cell, as in "hopper-naive: return 70.2 (95 % interval 60 to 80) with 20 ms ..."."""
     of = "score" if cell.get("score_mean") is not None else "return"
     mean, low, high = (cell[f"{of}_{name}"] for name in ("mean", "low", "high"))
+<<<<<<< HEAD
     under = f"{_latency_ms(cell)} ms to think, {cell['command'].upper()} at {clock_label(cell['clock_speed'])}"
     interval = "one episode" if unknown(low) else f"95 % interval {low:.4g} to {high:.4g}"
     return f"{cell['environment']}, {cell['agent']}: {of} {mean:.4g} ({interval}) with {under}"
+=======
+    within = "" if low is None else f" (95 % interval {low:.4g} to {high:.4g})"
+    under = f"{_latency_ms(cell)} ms to think, {cell['command'].upper()} at {clock_label(cell['clock_speed'])}"
+    return f"{cell['environment']}, {cell['agent']}: {of} {mean:.4g}{within} with {under}"
+>>>>>>> adv2
 
 
 def up_to_which_speed(ranking: Mapping[str, Any], cells: Sequence[Mapping[str, Any]]) -> str:
@@ -154,11 +166,17 @@ def up_to_which_speed(ranking: Mapping[str, Any], cells: Sequence[Mapping[str, A
     """
     where, speeds = f"in {ranking['environment']}", ranking["clock_speeds"]
     if len(speeds) < 2:
+<<<<<<< HEAD
         own = [each for each in cells if each["command"] == "adsc"]
         own = [each for each in own if all(each[name] == ranking[name] for name in ("environment", "latency_s"))]
         means, order = {each["agent"]: each["return_mean"] for each in own}, ranking["orders"][0]
         others = (f" {'>' if means[one] > means[other] else '='} {other}" for one, other in pairwise(order))
         return f"{where} {order[0]}{''.join(others)}"
+=======
+        order, returns = ranking["orders"][0], ranking["returns"][0]
+        signs = [" > " if ahead > behind else " = " for ahead, behind in pairwise(returns)]
+        return f"{where} {''.join(chain(*zip(order, [*signs, ''], strict=True)))}"
+>>>>>>> adv2
     if not ranking["reversals"]:
         return f"{where} no two agents change places up to {clock_label(speeds[-1])}, the fastest flown"
     return f"{where} the ranking holds up to {clock_label(ranking['holds_to'])} ({_first_change(ranking)})"
@@ -212,11 +230,11 @@ def panels_figure(
 
 
 def returns_figure(report: Report, cells: pd.DataFrame) -> Picture:
-    """Draw return, or score where all have one, over the delay; of cells with equal delays, equal flights, one."""
+    """Draw return, or score where all have one, over the delay; of cells with equal delays and returns, one."""
     of = "score" if "score_mean" in cells and cells.score_mean.notna().all() else "return"
     title = f"{of.capitalize()} over the delay from observation to action"
     adsc = cells[cells.command == "adsc"].assign(delay_s=cells.delay_s.round(6)).sort_values("delay_s", kind="stable")
-    adsc = adsc.drop_duplicates(["environment", "agent", "delay_s"], keep="last").sort_index()
+    adsc = adsc.drop_duplicates(["environment", "agent", "delay_s", "return_mean"], keep="last").sort_index()
     ends = f"{of}_low", f"{of}_high"
     figure, panels = panels_figure(adsc, "delay_s", f"{of}_mean", "agent", title, ends=ends)
     for axes in panels:
