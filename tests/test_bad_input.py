@@ -182,6 +182,7 @@ timing calibrate --profile unreal; timing calibrate --out nowhere/latency.yaml; 
 timing calibrate --check --games 0; timing calibrate --check --profile unreal
 timing calibrate --check --latency nowhere.yaml; timing advise --t-move 0; timing advise --t-move 0.333
 timing advise --t-move nan; timing advise --profile airsim --t-move 0.003; timing advise --t-move 1e308
+timing advise --t-move 86400 --thinking 86400; timing advise --error inf
 timing advise --error 0; timing advise --error nan; timing advise --rounds 0; timing advise --rounds 1001
 timing advise --profile unreal; timing advise --latency nowhere.yaml; timing advise --thinking 0
 timing advise --thinking nan; bench nothing; bench --soak-s -1; bench --soak-s nan; bench batch --lanes 0

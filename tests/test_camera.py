@@ -219,10 +219,17 @@ def test_a_canvas_has_room_for_the_highest_and_for_the_widest() -> None:
 
 
 @needs_opengl
-def test_a_camera_that_is_not_there() -> None:
-    tail = asset("mjcf/quadrotor.xml").read_text().replace('"front_center"', '"tail"')
-    with pytest.raises(UserError, match="no camera 'front_center' in the scene; there is tail"):
-        Camera(mujoco.MjModel.from_xml_string(tail))
+@pytest.mark.parametrize(("new", "said"), [
+    ('"tail"', "no camera 'front_center' in the scene; there is tail"),
+    *(
+        (f'"front_center" {other}', "camera 'front_center': must be fixed to its body")
+        for other in ('mode="trackcom"', 'projection="orthographic"', 'sensorsize="1 1" resolution="9 9"')
+    ),
+])  # fmt: skip
+def test_a_camera_that_is_not_there_or_no_pinhole(new: str, said: str) -> None:
+    other = asset("mjcf/quadrotor.xml").read_text().replace('"front_center"', new)
+    with pytest.raises(UserError, match=said):
+        Camera(mujoco.MjModel.from_xml_string(other.replace('fovy="58.7155"', "") if "sensor" in new else other))
 
 
 @needs_opengl

@@ -52,6 +52,17 @@ def test_a_scene_of_ones_own_is_flown_in_and_touched(warehouse: str) -> None:
         assert len(np.unique(client.image("gray", (32, 18)))) > 1, "a picture, without any material"
 
 
+def test_what_is_touched_within_a_margin_is_not_penetrated(warehouse: str) -> None:
+    file = resources.asset(f"mjcf/{warehouse}.xml")
+    file.write_text(file.read_text().replace('name="shelf"', 'name="shelf" margin="0.5"'))
+    with open_session(timing="lockstep", scene=warehouse) as session:
+        client = session.start_game(clock_speed=1.0)
+        for velocity, seconds in (((0.0, 0.0, 3.0), 2.5), ((3.0, 0.0, 0.0), 6.0)):
+            list(tcsc(client, VelocityGoal(velocity), t_move_s=seconds, t_sample_s=seconds))
+        touched = client.call("simGetCollisionInfo")
+        assert (touched["object_name"], touched["penetration_depth"]) == ("shelf", 0.0)
+
+
 def test_a_scene_in_which_other_things_move_is_refused(warehouse: str) -> None:
     file = resources.asset(f"mjcf/{warehouse}.xml")
     door = '<body name="door"><joint type="hinge"/><geom size="1" pos="0 9 9"/></body></worldbody>'
@@ -62,6 +73,11 @@ def test_a_scene_in_which_other_things_move_is_refused(warehouse: str) -> None:
 
 SHIPPED = '<inertial pos="0 0 0" mass="1" diaginertia="0.0067211874 0.0080406871 0.014278876"/>'
 JOINT = '<freejoint name="quadrotor"/>'
+FLEX = '<flexcomp name="sail" type="grid" dim="2" count="3 3 1" spacing="1 1 1" pos="5 0 5" rigid="true"/>'
+TETHER = (
+    '<site name="hook"/></body><site name="peg"/></worldbody><tendon><spatial limited="true" range="0 12">'
+    '<site site="peg"/><site site="hook"/></spatial></tendon>'
+)
 
 
 @pytest.fixture
@@ -141,6 +157,12 @@ def test_a_drone_of_ones_own_flies_as_in_mujoco_or_is_refused(drone: Callable[..
         (f'<compiler {bound}/>\n  <option', "<option", "boundmass or boundinertia changes")
         for bound in ('settotalmass="1"', 'boundmass="1.1"', 'boundinertia="0.1"')
     ),
+    *(
+        (f'"Euler"><flag {flag}="disable"/></option>', '"Euler"/>', f'flag {flag}="disable": drones would fly through')
+        for flag in ("contact", "constraint", "sensor")
+    ),
+    (FLEX + "</worldbody>", "</worldbody>", 'flex "sail": drones would fly through it'),
+    (TETHER, "</body>\n  </worldbody>", 'tendon: pulls at site "hook"'),
     ('name="touch"', 'name="collision"', 'sensor "collision": is missing'),
     ('data="force"', 'data="found"', 'sensor "collision": is missing or another'),
     ('contype="0" conaffinity="0" type="cylinder"', 'type="cylinder"', "none of its geoms has contacts"),

@@ -83,6 +83,12 @@ def test_a_server_that_ends_before_it_listens_is_told_by_its_status(monkeypatch:
         WatchedServer({})
 
 
+@pytest.mark.wall_clock
+def test_a_scene_that_a_server_refuses_is_told_in_its_words() -> None:
+    with pytest.raises(UserError, match=r"^scene = moon: is unknown; known: blocks"):
+        WatchedServer({"scene": "moon", "profile": "native", "core": None})
+
+
 @pytest.mark.parametrize(("computes", "patient_s"), [(True, 60), (False, 2)])
 def test_a_silent_server_is_given_longer_while_it_computes(
     monkeypatch: pytest.MonkeyPatch, computes: bool, patient_s: int

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -17,6 +18,7 @@ from uavaccel.errors import UsageError, UserError
 from uavaccel.suites.keys import KEYS
 
 MOST_COMMANDS = 1_000_000
+LONGEST_SQUARE_S = 4_000.0  # that advise flies: some minutes, as it flies it 86 times
 SCHEMA = "train.schema.json"  # the file that the starter's YAML names
 
 
@@ -72,16 +74,20 @@ def advise(
     """Say how fast ADSC may fly within an error, and a policy fly at all."""
     from uavaccel.calibration.calibrate import ADVISED_SPEEDS, policy_sentence, sentence
     from uavaccel.calibration.calibrate import advise as advised
+    from uavaccel.commands import velocities
     from uavaccel.config import MOST_SECONDS
     from uavaccel.sim.profile import PROFILES
     from uavaccel.wire.latency import read_latency, shipped_latency
 
-    if not error > 0:
+    if not 0.0 < error < math.inf:
         raise UserError(f"--error {error:g}: must be above 0 metres")
     for name, seconds in (("--thinking", thinking), ("--t-move", t_move)):
         if not 0.0 < seconds <= MOST_SECONDS:
             raise UserError(f"{name} {seconds:g}: must be above 0 and at most {MOST_SECONDS:g} seconds")
     PROFILES[profile].check_duration(t_move, "--t-move")
+    if (square_s := t_move * len(velocities("square", rounds))) > LONGEST_SQUARE_S:
+        said = f"the square takes {square_s:g} simulated seconds; at most {LONGEST_SQUARE_S:g}"
+        raise UserError(f"--t-move {t_move:g} --rounds {rounds}: {said}")
     model = shipped_latency(profile) if latency is None else read_latency(latency)
     with working("flights", 2 * len(ADVISED_SPEEDS)) as advance:
         found, rows = advised(model, profile, t_move, rounds, told=advance), []

@@ -17,7 +17,7 @@ from uavaccel.kernels import fields as at
 from uavaccel.kernels.bodies import KINDS, SOLIDS, visible, worn
 from uavaccel.kernels.fields import NO_APPEARANCE, Appearance, Looks, Operand, Scenes
 from uavaccel.kernels.fields import empty_scenes as empty_scenes
-from uavaccel.sim.camera.view import HEIGHT, WIDTH, far_m
+from uavaccel.sim.camera.view import HEIGHT, WIDTH, far_m, is_pinhole
 from uavaccel.sim.lane import (
     GROUND_TEXTURES,
     OBSTACLE_HALF_HEIGHT_M,
@@ -164,9 +164,8 @@ def _materials(model: mujoco.MjModel, of_texture: dict[int, int]) -> NDArray[np.
 
 def _camera(model: mujoco.MjModel, name: str, size: tuple[int, int] = (WIDTH, HEIGHT)) -> NDArray[np.float64]:
     camera = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_CAMERA, name)
-    fixed = camera >= 0 and model.cam_mode[camera] == mujoco.mjtCamLight.mjCAMLIGHT_FIXED
-    own = model.cam_bodyid[camera] == model.body(QUADROTOR).id and not model.cam_sensorsize[camera].any()
-    if not (fixed and own) or model.cam_projection[camera] != mujoco.mjtProjection.mjPROJ_PERSPECTIVE:
+    own = camera >= 0 and model.cam_bodyid[camera] == model.body(QUADROTOR).id
+    if not (own and is_pinhole(model, camera)):
         raise UserError(f"camera {name!r}: simulator: kernels draws what a fixed camera of the drone sees, with a fovy")
     high = float(np.tan(np.radians(model.cam_fovy[camera]) / 2))
     wide = high * WIDTH / HEIGHT  # the same for pictures of all sizes, as in sim/camera/view

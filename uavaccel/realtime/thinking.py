@@ -197,7 +197,9 @@ def _document(path: Path) -> Any:
         raise UserError(f"{path}: no JSON, and to read YAML PyYAML is needed: pip install pyyaml") from None
     try:
         return yaml.safe_load(text)
-    except (yaml.YAMLError, ValueError, RecursionError) as error:
+    except RecursionError:
+        raise UserError(f"{path}: neither JSON nor YAML: nested too deep") from None
+    except (yaml.YAMLError, ValueError) as error:
         raise UserError(f"{path}: neither JSON nor YAML: {str(error).splitlines()[0]}") from error
 
 

@@ -201,6 +201,7 @@ def check_airframes(model: mujoco.MjModel, spec: mujoco.MjSpec, names: Sequence[
     """
     bodies = [int(model.body(name).id) for name in names]
     _check_masses(model, spec, names[0], bodies)
+    _check_meetings(model, bodies)
     if model.opt.integrator != mujoco.mjtIntegrator.mjINT_EULER:
         raise ValueError('option: integrator must be "Euler", with which drones are flown')
     turned = [_align(model, body, name) for body, name in zip(bodies, names, strict=True)]
@@ -232,6 +233,20 @@ def check_airframes(model: mujoco.MjModel, spec: mujoco.MjSpec, names: Sequence[
         )
     if len(moving := np.setdiff1d(model.dof_bodyid, bodies)):
         raise ValueError(f'body "{model.body(int(moving[0])).name}": has joints, but only drones move here')
+
+
+def _check_meetings(model: mujoco.MjModel, bodies: Sequence[int]) -> None:
+    """Raise ValueError for what drones would fly through, or on without: contacts with geoms alone are looked for."""
+    for flag in ("contact", "constraint", "sensor"):
+        if model.opt.disableflags & getattr(mujoco.mjtDisableBit, f"mjDSBL_{flag.upper()}"):
+            raise ValueError(f'option: flag {flag}="disable": drones would fly through everything; leave it out')
+    if model.nflex:
+        name = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_FLEX, 0)
+        raise ValueError(f'flex "{name}": drones would fly through it; make it a mesh')
+    sites = model.wrap_objid[model.wrap_type == int(mujoco.mjtWrap.mjWRAP_SITE)]
+    tied = np.flatnonzero(np.isin(model.body_rootid[model.site_bodyid[sites]], bodies))
+    if len(tied):
+        raise ValueError(f'tendon: pulls at site "{model.site(int(sites[tied[0]])).name}" of a drone, which flies free')
 
 
 def _check_masses(model: mujoco.MjModel, spec: mujoco.MjSpec, name: str, bodies: Sequence[int]) -> None:

@@ -277,7 +277,7 @@ class World:
         if not vehicle.field["contacts"][0]:
             return 0.0, ""
         depth_m, geom = depth(vehicle, vehicle.place_m, vehicle.kinematics().orientation_wxyz)
-        return (depth_m, self.name_of(geom)) if geom >= 0 else (0.0, "")
+        return (max(depth_m, 0.0), self.name_of(geom)) if geom >= 0 else (0.0, "")
 
     def settle(self) -> None:
         """Let idle vehicles that start in the air fall until they rest, for SETTLING_S at most; tick 0 is then."""

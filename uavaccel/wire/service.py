@@ -2,7 +2,8 @@
 
     python -m uavaccel.wire.service '{"scene": "blocks", "profile": "native", "core": null, "parent": 1}'
 
-serves a session on a free loopback port, and prints one line of JSON, {"port": ...}, when it listens.
+serves a session on a free loopback port, and prints one line of JSON: {"port": ...} when it listens, {"error": ...} for
+a scene that cannot be flown in.
 """
 
 from __future__ import annotations
@@ -55,7 +56,11 @@ def main() -> None:
     end_with_parent(options["parent"])
     if options["core"] is not None:
         os.sched_setaffinity(0, {options["core"]})
-    simulation = ready_simulation(options["scene"], PROFILES[options["profile"]])
+    try:
+        simulation = ready_simulation(options["scene"], PROFILES[options["profile"]])
+    except UserError as error:
+        print(json.dumps({"error": str(error)}), flush=True)
+        return
     simulation.pause(MonotonicClock().now_ns())
     server = Server(Api(simulation), port=0, stop_at_eof=sys.stdin.buffer)
     with suppress(BrokenPipeError):  # the session has gone: standard input has ended too

@@ -15,6 +15,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Sequence
 
 from uavaccel.clock import MonotonicClock, VirtualClock, WallClock, wait_for_sockets
+from uavaccel.errors import UserError
 from uavaccel.kinematics import Kinematics
 from uavaccel.processes.lifetime import end_within, single_core_rendering, start_python
 from uavaccel.processes.stalls import FIRST_POLLS, StallDetector
@@ -38,7 +39,10 @@ AT_ONCE = {"pause", "continue", "state"}  # channels whose calls keep a server b
 
 
 class WatchedServer:
-    """A process of uavaccel.wire.service, listening on `port`. Raises ServerGoneError if it never listens."""
+    """A process of uavaccel.wire.service, listening on `port`.
+
+    Raises UserError for a scene that cannot be flown in, and ServerGoneError if it never listens.
+    """
 
     def __init__(self, options: dict[str, object]) -> None:
         self._clock = MonotonicClock()
@@ -51,7 +55,10 @@ class WatchedServer:
         self.pid = self._process.pid
         self.answered()
         try:
-            self.port: int = json.loads(self._first_line())["port"]
+            told = json.loads(self._first_line())
+            if "error" in told:
+                raise UserError(told["error"])
+            self.port: int = told["port"]
         except BaseException:
             self._process.kill()  # it does not heed the end of its standard input before it listens
             self.end()

@@ -37,7 +37,7 @@ _EVERYTHING = int(mujoco.mjtCatBit.mjCAT_ALL)
 class View:
     """The scene in front of the model's camera, FRONT; `fov_deg` is its own, horizontal at any width.
 
-    Raises UserError if the model has no such camera.
+    Raises UserError if the model has no such camera, or one that is no pinhole.
     """
 
     def __init__(self, model: mujoco.MjModel, width: int, height: int) -> None:
@@ -47,6 +47,10 @@ class View:
         if number < 0:
             names = ", ".join(model.camera(index).name for index in range(model.ncam))
             raise UserError(f"no camera {FRONT!r} in the scene; there is {names or 'none'}")
+        if not is_pinhole(model, number):
+            raise UserError(
+                f"camera {FRONT!r}: must be fixed to its body, in perspective, and have fovy, not sensorsize"
+            )
         self.fov_deg = own_fov_deg(model, number)
         # for a camera on the drone everything except the drone, which is out of its view
         self._options.sitegroup[:] = 0  # marks of MJCF, not things; their ids are not geoms'
@@ -107,6 +111,13 @@ def vehicle_pose(data: mujoco.MjData, vehicle: int = 0) -> Pose:
     """Return the pose, NED, of vehicle number `vehicle` in `data.qpos`."""
     place, attitude = np.split(data.qpos[7 * vehicle : 7 * vehicle + 7], [3])
     return from_mujoco(place, attitude)
+
+
+def is_pinhole(model: mujoco.MjModel, camera: int) -> bool:
+    """Return whether a camera is fixed to its body, and sees in perspective what its `fovy` says."""
+    fixed = model.cam_mode[camera] == mujoco.mjtCamLight.mjCAMLIGHT_FIXED
+    perspective = model.cam_projection[camera] == mujoco.mjtProjection.mjPROJ_PERSPECTIVE
+    return bool(fixed and perspective and not model.cam_sensorsize[camera].any())
 
 
 def own_fov_deg(model: mujoco.MjModel, camera: int) -> float:
