@@ -244,7 +244,7 @@ class Twice:
             on_host(*arguments)
             return
         if name == "see":  # between samples, where events add up
-            going, take, *others = deepcopy(arguments)
+            going, take, *others = deepcopy([*arguments])
             others[-2].gathered[...] += 3
             self._compare(name, on_host, grid, (going, 1 - take, *others))
         if name in self.LOOKING:  # one lane does not go, others have touched something and left events unread

@@ -387,11 +387,8 @@ def test_what_is_flown_is_what_the_simulated_clock_models(run: RunDirectory, tmp
         ("agents={a: {training_delay_s: [0.2, 0.1]}}", "training_delay_s must rise"),
         ("agents={a/b: {}}", "'a/b' names files: letters, digits and _ alone"),
         ("latency_s=[0.1, 0.1]", "latency_s = .*: has 0.1 twice"),
-<<<<<<< HEAD
-=======
         ("agents={a: {look_ahead: true, chunk: 2}}", "look_ahead predicts .*, for a single action: leave out chunk"),
         ("agents={a: {look_ahead: true, observe_age: true}}", "look_ahead predicts .*: leave out observe_age"),
->>>>>>> adv2
         ("timing=wall", "look_ahead needs timing virtual"),
     ],
 )

@@ -3,11 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-<<<<<<< HEAD
-from itertools import pairwise, permutations
-=======
 from itertools import chain, pairwise, permutations
->>>>>>> adv2
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -40,8 +36,7 @@ def cells_of(report: Report) -> pd.DataFrame:
 
     def cell(own: pd.DataFrame) -> dict[str, Any]:
         returns = own.returns.tolist()
-        alone = sum(map(len, returns)) == 1  # a return, which says nothing of others
-        low, high = (np.nan, np.nan) if alone else hierarchical_interval(returns, report.config.seed)
+        low, high = hierarchical_interval(returns, report.config.seed)
         found = {"mean": float(np.mean([np.mean(each) for each in returns])), "low": low, "high": high}
         scale = report.config.scale(own.environment.iloc[0])
         scores = {} if scale is None else {f"score_{name}": _on(scale, value) for name, value in found.items()}
@@ -148,35 +143,21 @@ def cell_in_words(cell: Mapping[str, Any]) -> str:
     """Return the result of a cell, as in "hopper-naive: return 70.2 (95 % interval 60 to 80) with 20 ms ..."."""
     of = "score" if cell.get("score_mean") is not None else "return"
     mean, low, high = (cell[f"{of}_{name}"] for name in ("mean", "low", "high"))
-<<<<<<< HEAD
     under = f"{_latency_ms(cell)} ms to think, {cell['command'].upper()} at {clock_label(cell['clock_speed'])}"
     interval = "one episode" if unknown(low) else f"95 % interval {low:.4g} to {high:.4g}"
     return f"{cell['environment']}, {cell['agent']}: {of} {mean:.4g} ({interval}) with {under}"
-=======
-    within = "" if low is None else f" (95 % interval {low:.4g} to {high:.4g})"
-    under = f"{_latency_ms(cell)} ms to think, {cell['command'].upper()} at {clock_label(cell['clock_speed'])}"
-    return f"{cell['environment']}, {cell['agent']}: {of} {mean:.4g}{within} with {under}"
->>>>>>> adv2
 
 
-def up_to_which_speed(ranking: Mapping[str, Any], cells: Sequence[Mapping[str, Any]]) -> str:
+def up_to_which_speed(ranking: Mapping[str, Any]) -> str:
     """Return up to which ClockSpeed a ranking holds, as in "in hopper the ranking holds up to 5x; at 20x ...".
 
-    At a single one it is the order of the agents, as in "in hopper small = large > slow", from their `cells`.
+    At a single one it is the order of the agents, as in "in hopper small = large > slow".
     """
     where, speeds = f"in {ranking['environment']}", ranking["clock_speeds"]
     if len(speeds) < 2:
-<<<<<<< HEAD
-        own = [each for each in cells if each["command"] == "adsc"]
-        own = [each for each in own if all(each[name] == ranking[name] for name in ("environment", "latency_s"))]
-        means, order = {each["agent"]: each["return_mean"] for each in own}, ranking["orders"][0]
-        others = (f" {'>' if means[one] > means[other] else '='} {other}" for one, other in pairwise(order))
-        return f"{where} {order[0]}{''.join(others)}"
-=======
         order, returns = ranking["orders"][0], ranking["returns"][0]
         signs = [" > " if ahead > behind else " = " for ahead, behind in pairwise(returns)]
         return f"{where} {''.join(chain(*zip(order, [*signs, ''], strict=True)))}"
->>>>>>> adv2
     if not ranking["reversals"]:
         return f"{where} no two agents change places up to {clock_label(speeds[-1])}, the fastest flown"
     return f"{where} the ranking holds up to {clock_label(ranking['holds_to'])} ({_first_change(ranking)})"
