@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
@@ -76,15 +77,25 @@ def test_resets_take_options_and_actions_are_looked_at() -> None:
 
 
 @pytest.mark.usefixtures("host_kernels")
-def test_wrong_actions_on_the_device_are_clipped_and_told_once_two_steps_later(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(
+    ("kind", "wrong", "clipped", "right"),
+    [
+        (ObstacleLane, [-1, 9], [0, 4], [2, 3]),
+        (Navigate, [[-9.0, 1.0, 0.0], [0.0, math.nan, 2.0]], [[-1.0, 1.0, 0.0], [0.0, 0.0, 1.0]], [[0.5] * 3] * 2),
+    ],
+)
+def test_wrong_actions_on_the_device_are_clipped_and_told_once_two_steps_later(
+    kind: Any, wrong: list[Any], clipped: list[Any], right: list[Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(cuda_batch := import_module("uavaccel.envs.cuda_batch"), "FAR_BEHIND", 2)
-    told, both = [], [cuda_batch.CudaBatch(ObstacleLane, 2, observation="state") for _ in range(2)]
+    told, both = [], [cuda_batch.CudaBatch(kind, 2, observation="state") for _ in range(2)]
     both[0]._actions.waits = False
     for step in range(18):
         if step in (0, 9):  # a reset knows nothing of what was wrong before it
             np.testing.assert_array_equal(*(each.reset(seed=step)[0] for each in both))
-        actions = th.tensor([-1, 9] if step in (1, 4, 5, 8) else [2, 3])
-        both[1].step(actions.clamp(0, 4))
+        is_wrong = step in (1, 4, 5, 8)
+        actions = th.tensor(wrong if is_wrong else right)
+        both[1].step(th.tensor(clipped if is_wrong else right))
         try:
             both[0].step(actions.tolist() if step == 2 else actions)  # which the host looks at at once
         except UserError:

@@ -54,7 +54,7 @@ from gym.envs.registration import register
 from gym.spaces import Box
 from gym.utils import seeding
 import gym.envs.registration as again
-found = again.register is register and gym.envs.registration is again
+found = again.register is register and gym.envs.registration is again and utils.seeding is seeding
 """
     names: dict[str, Any] = {}
     with importing(environment.old_modules(), {}):

@@ -87,6 +87,8 @@ def test_defaults_are_airsims(tmp_path: Path) -> None:
     ({"CameraDefaults": {"CaptureSettings": [{"FOV_Degrees": 1e-9}]}}, "CameraDefaults.CaptureSettings.0.FOV_Degrees"),
     ({"CameraDefaults": {"CaptureSettings": [{"ImageType": 99}]}}, "CameraDefaults.CaptureSettings.0.ImageType = 99"),
     ({"DefaultSensors": {"D": {"SensorType": 5, "MinDistance": 9, "MaxDistance": 8}}}, "MinDistance must be at most"),
+    ({"DefaultSensors": {"I": {"SensorType": 2, "AngularRandomWalk": -0.3}}}, "I.AngularRandomWalk = -0.3: should be"),
+    ({"DefaultSensors": {"I": {"SensorType": 2, "GyroBiasStabilityTau": 0}}}, "I.GyroBiasStabilityTau = 0: should be"),
     ({"DefaultSensors": {"L": {"SensorType": 7}}}, "DefaultSensors.L.SensorType = 7: should be one of 1, 2, 3"),
     ({"DefaultSensors": {"L": {"SensorType": "6"}}}, "DefaultSensors.L.SensorType = '6': should be one of 1, 2, 3"),
     ({"DefaultSensors": {"L": {"Range": 7}}}, "key 'DefaultSensors.L.SensorType' is missing"),

@@ -191,9 +191,7 @@ class Swarm(ParallelEnv):  # type: ignore[misc]
             raise UserError(f"step: {missing[0]} has no action")
         for agent in self.agents:
             action = within(self.action_spaces[agent], actions[agent]).astype(np.float64)
-            vehicle = self._vehicle(agent)
-            vehicle.set_goal(autopilot_goal(self.task.goal(action)))
-            vehicle.hold_from(None)
+            self._vehicle(agent).set_goal(autopilot_goal(self.task.goal(action)))
         if self.agents:
             self._world.advance(self._ticks)
         before, flown = dict(self._moments), list(self.agents)
