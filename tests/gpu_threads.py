@@ -244,9 +244,9 @@ class Twice:
             on_host(*arguments)
             return
         if name == "see":  # between samples, where events add up
-            going, take, *others = deepcopy([*arguments])
-            others[-2].gathered[...] += 3
-            self._compare(name, on_host, grid, (going, 1 - take, *others))
+            going, take, *rest = deepcopy(arguments)
+            rest[-2].gathered[...] += 3
+            self._compare(name, on_host, grid, (going, 1 - take, *rest))
         if name in self.LOOKING:  # one lane does not go, others have touched something and left events unread
             others = deepcopy(arguments)
             others[0][0] = 0
