@@ -431,6 +431,8 @@ def test_the_bootstrap_keeps_cells_in_their_shares() -> None:
         cell["stlc"] = [far[cell["t_move_s"], cell["rounds"]]] * 8
 
     assert claims.median(trajectories(apart), "adsc", 5.0) == (1.5, 1.5, 1.5)
+    lower, higher = [np.full(8, 1.6)], [np.full(8, 2.0), np.full(8, 1.5)]
+    assert (claims.above(trajectories(), lower, higher), claims.above(trajectories(), higher, lower)) == (False, True)
 
 
 def test_the_papers_n_tells_of_the_collapse_alone() -> None:

@@ -34,7 +34,7 @@ from uavaccel.kernels.events import level_of
 from uavaccel.kinematics import AttitudeGoal, BodyRatesGoal, MotorsGoal, VelocityGoal
 from uavaccel.rl.agents import make_agent, origin_of
 from uavaccel.rl.double_dqn import HostDQN
-from uavaccel.rl.network import Levels, Windows, contrast, turned_actions
+from uavaccel.rl.network import Levels, Windows, contrast
 from uavaccel.rl.policy import load_policy
 from uavaccel.sim.vehicle.autopilot import Goal
 from uavaccel.suites.evaluate import Evaluation
@@ -75,8 +75,9 @@ def test_a_learner_mirrors_the_plane_with_the_action() -> None:
     config = tiny_config({"knows": list(KNOWS)})
     headings, last, rows = list(config.task.headings_deg), [0, 1, 3, 4], th.arange(4)
     ring = th.tensor(np.stack([action_plane(headings, action) for action in last]))[:, None, None]
-    learner, mirrored = HostDQN.__new__(HostDQN), th.tensor([True, True, False, False])
-    learner._turned = th.tensor(turned_actions(config.task.headings_deg))
+    seen, acted = config.task.observation_space(), config.task.action_space()
+    lanes: Any = SimpleNamespace(num_envs=1, single_observation_space=seen, single_action_space=acted)
+    learner, mirrored = HostDQN(config, lanes), th.tensor([True, True, False, False])
     learner.sight = SimpleNamespace(look=Levels().look, rate=lambda network, seen: th.zeros(4, 5))
     learner.replay = cast(Any, SimpleNamespace(observations=ring, next_observations=ring))
     learner.policy = cast(Any, SimpleNamespace(q_net=None, q_net_target=None))

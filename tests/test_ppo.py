@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import signal
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -262,6 +263,7 @@ def test_a_training_repeats_and_goes_on_to_the_same_weights(trained: RunDirector
 
     with pytest.raises(RuntimeError, match="stopped"):
         run_suite(Training(), hover(), start_run(Training(), hover(), tmp_path / "cut", {}), on_game=stop)
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler, "as before"
     train_into(tmp_path / "cut", hover(), resume=True)
     train_into(tmp_path / "again", hover())
     train_into(tmp_path / "other", hover(seed=1))
@@ -341,7 +343,7 @@ def test_lanes_pay_for_decisions_and_learning() -> None:
     assert charged[:8] == [("charge", *[(0.5, "inference")] * 2, [0, 1])] * 8
     assert charged[8:] == [("charge", *[(4 / 2 * 0.125, "learning")] * 2, [0, 1])]
     assert [game.number for game in games] == [0, 1, 2, 3]
-    assert seeds == [first_seed(3)]
+    assert (seeds, th.initial_seed()) == ([first_seed(3)], 3)
 
 
 @pytest.mark.slow
