@@ -269,7 +269,7 @@ class Twice:
         on_host(*arguments)
         for was, ours, theirs in zip(*map(leaves, (before, mine, arguments)), strict=True):
             seen = name in ("see", "see_gray", "finish") and ours.ndim == 1
-            seen |= name in ("see", "see_gray", "start_events") and ours.dtype == np.uint8
+            seen |= name in ("see_gray", "start_events") and ours.dtype == np.uint8
             if alone or seen or ours.dtype == np.uint64:  # a stream, of which each thread has its own
                 continue
             kept = np.index_exp[:, :13] if name == "fly" and ours.shape[1:] == (25,) else ()  # no force, acceleration
