@@ -152,10 +152,9 @@ def test_the_page_has_the_table_of_conditions() -> None:
 
 
 def test_a_sweep_is_around_the_options_of_evaluate(tmp_path: Path) -> None:
-    options = {"agent": "straight", "games": 2, "clock_speed": 5.0, "seed": 3}
-    request = RunRequest(
-        "evaluate", options, ["task.max_commands=3", "task.difficulty.wind_m_s=2"], out=tmp_path / "run"
-    )
+    options = {"agent": "straight", "games": 2, "clock_speed": 10.0, "seed": 3}
+    keys = ["task.max_commands=3", "task.difficulty.wind_m_s=2", "task.clock_speed=5"]  # which goes before its option
+    request = RunRequest("evaluate", options, keys, out=tmp_path / "run")
     sweep_agent(request, ["wind=2,4", "light=.5"], None)
     assert [row["case"] for row in RunDirectory(tmp_path / "run").rows()] == ["as-trained", "wind-4", "light-0.5"]
     assert RunDirectory(tmp_path / "run").config()["seed"] == 3

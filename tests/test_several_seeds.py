@@ -143,6 +143,9 @@ def test_an_option_makes_a_training_one_over_seeds(tmp_path: Path, monkeypatch: 
         raise AssertionError("there is no plan for it")
     with pytest.raises(UsageError, match="is of seeds, not of evaluate; take `uavaccel train`"):
         configure(RunRequest(None, out=tmp_path / "run", resume=True, suite="evaluate"))
+    own = over(3, TRAINING.model_copy(update={"seed": 1}))  # of a YAML file, where the trainings' seeds go from 7
+    RunDirectory.create(tmp_path / "own", own, {})
+    assert configure(RunRequest(None, out=tmp_path / "own", resume=True, suite="train"))[1] == own
 
 
 def test_fewer_games_than_before_are_refused_at_once(tmp_path: Path) -> None:
