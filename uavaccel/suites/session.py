@@ -210,7 +210,7 @@ class Plan:
             keys = ", ".join(f"{key}={getattr(self.config, key)}" for key in quick)
             [speed] = self.config.clock_speed
             yield f"a quick run, since --clock names one ClockSpeed: {keys}; all games: --set clock_speed=[{speed:g}]"
-        alone = sum(case.timing == "wall" for case in self.cases)
+        alone = sum(case.timing == "wall" for case in self.left)
         if alone and (self.request.jobs > 1 or self.request.engine != LOKY):
             fly = "flies" if alone == 1 else "fly"
             yield f"{counted(alone, self._noun)} on the wall clock {fly} alone, in this process, one by one"
