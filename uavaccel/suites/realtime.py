@@ -385,7 +385,7 @@ class Realtime(Suite[RealtimeConfig, Training]):
         rankings = [each for each in rankings if len(each["orders"][0]) > 1]
         latencies = sorted({each["latency_s"] for each in rankings})
         middle = latencies[len(latencies) // 2] if latencies else 0.0
-        said = [told.up_to_which_speed(each) for each in rankings if each["latency_s"] == middle]
+        said = [told.up_to_which_speed(each, cells) for each in rankings if each["latency_s"] == middle]
         said = [f"with {1e3 * middle:g} ms to think, {'; '.join(said)}"] if said else []
         if equal is not None:
             said.append(f"under TCSC returns {'are the same to the bit' if equal else 'DIFFER'} at every ClockSpeed")

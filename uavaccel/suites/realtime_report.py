@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from itertools import chain, pairwise, permutations
+from itertools import pairwise, permutations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -76,7 +76,7 @@ def results(report: Report) -> str:
 
 
 def ranking(cells: pd.DataFrame) -> dict[str, Any]:
-    """Return the agents and their returns at each ClockSpeed, best first, and how far the order is that at the slowest.
+    """Return the order of the agents at each ClockSpeed, best first, and how far it is that at the slowest.
 
     `holds_to` is the largest ClockSpeed up to which no two agents change places.
     """
@@ -84,11 +84,10 @@ def ranking(cells: pd.DataFrame) -> dict[str, Any]:
     speeds, slowest = list(by_speed), next(iter(by_speed.values()))
     reversals = [each for speed in speeds[1:] for each in _reversals(slowest, by_speed[speed], speed)]
     broken = min((reversal["clock_speed"] for reversal in reversals), default=np.inf)
-    means = [own.return_mean.sort_values(ascending=False, kind="stable") for own in by_speed.values()]
+    means = [own.return_mean for own in by_speed.values()]
     return {
         "clock_speeds": speeds,
-        "orders": [here.index.tolist() for here in means],
-        "returns": [here.tolist() for here in means],
+        "orders": [here.sort_values(ascending=False, kind="stable").index.tolist() for here in means],
         "kendall_tau": [kendall_tau(means[0], here) for here in means],
         "holds_to": max(speed for speed in speeds if speed < broken),
         "reversals": reversals,
@@ -148,16 +147,18 @@ def cell_in_words(cell: Mapping[str, Any]) -> str:
     return f"{cell['environment']}, {cell['agent']}: {of} {mean:.4g} ({interval}) with {under}"
 
 
-def up_to_which_speed(ranking: Mapping[str, Any]) -> str:
+def up_to_which_speed(ranking: Mapping[str, Any], cells: Sequence[Mapping[str, Any]]) -> str:
     """Return up to which ClockSpeed a ranking holds, as in "in hopper the ranking holds up to 5x; at 20x ...".
 
-    At a single one it is the order of the agents, as in "in hopper small = large > slow".
+    At a single one it is the order of the agents, as in "in hopper small = large > slow", from their `cells`.
     """
     where, speeds = f"in {ranking['environment']}", ranking["clock_speeds"]
     if len(speeds) < 2:
-        order, returns = ranking["orders"][0], ranking["returns"][0]
-        signs = [" > " if ahead > behind else " = " for ahead, behind in pairwise(returns)]
-        return f"{where} {''.join(chain(*zip(order, [*signs, ''], strict=True)))}"
+        own = [each for each in cells if each["command"] == "adsc"]
+        own = [each for each in own if all(each[name] == ranking[name] for name in ("environment", "latency_s"))]
+        means, order = {each["agent"]: each["return_mean"] for each in own}, ranking["orders"][0]
+        others = (f" {'>' if means[one] > means[other] else '='} {other}" for one, other in pairwise(order))
+        return f"{where} {order[0]}{''.join(others)}"
     if not ranking["reversals"]:
         return f"{where} no two agents change places up to {clock_label(speeds[-1])}, the fastest flown"
     return f"{where} the ranking holds up to {clock_label(ranking['holds_to'])} ({_first_change(ranking)})"
