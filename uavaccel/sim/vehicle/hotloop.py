@@ -20,6 +20,7 @@ import math
 import re
 import sys
 import zlib
+from dis import opmap
 from pathlib import Path
 from types import CellType, FunctionType
 from typing import TYPE_CHECKING, NamedTuple, Protocol
@@ -371,9 +372,11 @@ def sources(module: str) -> int:
 
 def stamped(function: Callable[..., object], sources: int) -> Callable[..., object]:
     """Return a function for numba to compile that closes over `sources` too, though nothing in it reads them."""
-    code = function.__code__
+    code, raw = function.__code__, bytearray(function.__code__.co_code)
     closure = *(function.__closure__ or ()), CellType(sources)
-    code = code.replace(co_freevars=(*code.co_freevars, "sources"))
+    if (copies := raw[::2].find(opmap["COPY_FREE_VARS"])) >= 0:  # the count of them, which Python runs by
+        raw[2 * copies + 1] = len(closure)
+    code = code.replace(co_freevars=(*code.co_freevars, "sources"), co_code=bytes(raw))
     return FunctionType(code, function.__globals__, function.__name__, function.__defaults__, closure)
 
 
