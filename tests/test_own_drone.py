@@ -147,6 +147,8 @@ def test_a_drone_of_ones_own_flies_as_in_mujoco_or_is_refused(drone: Callable[..
     ("", SHIPPED, "inertial is missing"),
     (SHIPPED.replace("0 0 0", "0.05 0 0"), SHIPPED, 'inertial pos="0.05 0 0"'),
     (SHIPPED.replace("mass", 'quat="0.9 0.1 0.2 0.3" mass'), SHIPPED, "inertial quat or fullinertia"),
+    (SHIPPED.replace('"1"', '"0.5"'), SHIPPED, 'mass="0.5": never descends with its rotors: needs 0.56 to 1.5 kg'),
+    (SHIPPED.replace('"1"', '"1.6"'), SHIPPED, 'inertial mass="1.6": never climbs'),
     (SHIPPED + '<body name="pod"><geom size=".01"/></body>', SHIPPED, 'child body "pod" has a mass'),
     ('<joint type="free" name="quadrotor" damping="0.1"/>', JOINT, "damping"),
     ('<body name="quadrotor" gravcomp="1"', '<body name="quadrotor"', "gravcomp"),

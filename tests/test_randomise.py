@@ -19,7 +19,7 @@ from uavaccel.envs.obstacle_lane import LaneTask, ObstacleLane
 from uavaccel.kinematics import VelocityGoal
 from uavaccel.records import RunDirectory
 from uavaccel.sim.flight import of_velocity
-from uavaccel.sim.lane import Difficulty, sample_layout
+from uavaccel.sim.lane import HEAVIEST, LIGHTEST, Difficulty, sample_layout
 from uavaccel.sim.profile import PROFILES
 from uavaccel.sim.world import World
 
@@ -105,6 +105,17 @@ def test_a_vehicle_accelerates_as_its_thrust_over_its_mass() -> None:
         assert craft["max_torque_n_m"] / craft["max_thrust_n"] == pytest.approx(0.0555624 / 4.179446, rel=1e-4)
         body = world.model.body("quadrotor")  # which MuJoCo steps near obstacles
         assert [*body.mass, *body.subtreemass, *world.model.dof_M0[:3]] == pytest.approx([craft["mass_kg"]] * 5)
+
+
+@pytest.mark.parametrize(("mass", "thrust"), [(LIGHTEST, 1.0), (HEAVIEST, 1.0), (0.83, 1.5), (1.04, 0.7)])
+def test_the_lightest_and_the_heaviest_climb_and_descend(mass: float, thrust: float) -> None:
+    world = World("lane", PROFILES["native"])
+    world.set_lane(sample_layout(0, Difficulty(obstacles_per_row=0, mass_ratio=mass, thrust_ratio=thrust)))
+    world.reset((0.0, 0.0, -9.0))
+    for speed_m_s in (-1.0, 1.0):
+        world.lead.set_goal(of_velocity(VelocityGoal((0.0, 0.0, speed_m_s))))
+        world.advance(2000)
+        assert world.lead.kinematics().linear_velocity_m_s[2] == pytest.approx(speed_m_s, abs=0.1)
 
 
 @settings(max_examples=40)

@@ -144,14 +144,14 @@ LATENCY = "latency_scale"
 
 
 def corners(ranges: Mapping[str, tuple[float, float]], alone: bool = False) -> list[dict[str, float]]:
-    """Return the extreme conditions to check: all least, all most, and all most with the least thrust.
+    """Return the extreme conditions to check: all least, all most, and each of them with the other's thrust.
 
     With `alone`, also each end of each range by itself, for conditions that are not always sampled together.
     """
     least, most = ({name: ends[end] for name, ends in ranges.items()} for end in (0, 1))
-    weakest = {name: value for name, value in least.items() if name == "thrust_ratio"}
+    weakest, strongest = ({name: end[name] for name in end if name == "thrust_ratio"} for end in (least, most))
     single = [{name: end} for name, ends in ranges.items() for end in ends] if alone else []
-    return [least, most, {**most, **weakest}, *single]
+    return [least, most, {**most, **weakest}, {**least, **strongest}, *single]
 
 
 def keys_of(conditions: Mapping[str, float]) -> dict[str, Any]:

@@ -39,7 +39,8 @@ Scenery = Literal["plain", "forest"]
 LENGTH_M = 150.0  # the game is won at this distance north of the start (paper, section III-C1)
 WIDTH_M = 10.0  # between the inner faces of the walls
 HULL_RADIUS_M = 0.3418  # of quadrotor.xml's hull
-HEAVIEST = 1.5  # largest mass_ratio / thrust_ratio; full throttle lifts 1.7 times the weight
+# Of mass_ratio / thrust_ratio: full throttle lifts 1.7 times the weight, the autopilot's least of .3 half of it.
+LIGHTEST, HEAVIEST = 0.55, 1.5
 MAX_OBSTACLES = 64  # as many as lane.xml provides
 
 OBSTACLE_TEXTURES = ("red", "white", "yellow", "blue")
@@ -106,9 +107,13 @@ class Difficulty(Config):
 
     @model_validator(mode="after")
     def _can_hover(self) -> Self:
-        if self.mass_ratio > HEAVIEST * self.thrust_ratio:
+        ratio = self.mass_ratio / self.thrust_ratio
+        if not LIGHTEST <= ratio <= HEAVIEST:
+            bound = f"least {LIGHTEST:g}" if ratio < LIGHTEST else f"most {HEAVIEST:g}"
+            way = "descend" if ratio < LIGHTEST else "climb"
             raise ValueError(
-                f"mass_ratio = {self.mass_ratio:g} must be at most {HEAVIEST:g} times thrust_ratio, or it cannot climb"
+                f"mass_ratio = {self.mass_ratio:g} must be at {bound} times thrust_ratio, "
+                f"{self.thrust_ratio:g}, or it cannot {way}"
             )
         return self
 

@@ -258,6 +258,16 @@ def _check_masses(model: mujoco.MjModel, spec: mujoco.MjSpec, name: str, bodies:
     bounds = own.boundmass >= model.body_mass[bodies].min() or own.boundinertia >= model.body_inertia[bodies].min()
     if own.settotalmass > 0 or bounds:
         raise ValueError("compiler: settotalmass, boundmass or boundinertia changes the drone's own: leave them out")
+    from uavaccel.sim.vehicle.quadrotor import HOVERS, ROTORS, parameters  # with numba, which looking needs not
+
+    mass = float(model.body_mass[bodies[0]])
+    (craft,) = parameters(model.opt.timestep, 0, mass, model.body_inertia[bodies[0]])
+    lifted = ROTORS * craft["max_thrust_n"] / craft["gravity_m_s2"]
+    least, most = (share * lifted for share in HOVERS)
+    if not least <= mass <= most:
+        never = "descends" if mass < least else "climbs"
+        needs = f"with its rotors: needs {least:.2g} to {most:.2g} kg"
+        raise ValueError(f'body "{name}": inertial mass="{mass:g}": never {never} {needs}')
 
 
 def _align(model: mujoco.MjModel, body: int, name: str) -> bool:

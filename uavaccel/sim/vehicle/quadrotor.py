@@ -18,6 +18,7 @@ from uavaccel.sim.parts import njit, part
 Record: TypeAlias = Any  # one element of a structured array, which numba knows field by field
 
 ROTORS = 4
+HOVERS = (0.33, 0.89)  # shares of full thrust; the autopilot's is at least .3, so that a lighter one never descends
 NEVER = np.iinfo(np.int64).max
 
 PID_LEVELS = 4  # position, velocity, angle, rate: each with three axes
