@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
@@ -12,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.linalg import lapack_lite
 
 from benchmarks.images import frame_rates
 from tests.opengl import needs_opengl
@@ -69,6 +71,29 @@ def test_flying_needs_no_opengl_and_nothing_is_said_of_it_at_exit() -> None:
 
 def run_python(*arguments: str, **options: Any) -> subprocess.CompletedProcess[str]:
     return subprocess.run([sys.executable, *arguments], capture_output=True, text=True, check=False, **options)
+
+
+TRITON = """
+import os
+import mujoco.rendering.classic.gl_context as driver
+from uavaccel.sim.camera.gl import make_context
+os.environ["MUJOCO_GL"], driver.GLContext = "no backend", None
+try:
+    make_context(8, 8)
+except Exception:
+    print("libtriton.so" in open("/proc/self/maps").read())
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="Triton is there on Linux alone")
+def test_triton_comes_before_the_driver_which_fails_here(tmp_path: Path) -> None:
+    """Mesa's LLVM would be taken for Triton's: stable-baselines3 crashed with PyTorch's CUDA build."""
+    (tmp_path / "triton/_C").mkdir(parents=True)
+    (tmp_path / "triton/__init__.py").write_text("1 / 0")
+    shutil.copy(lapack_lite.__file__, tmp_path / "triton/_C/libtriton.so")
+    path = f"{tmp_path}{os.pathsep}{os.environ.get('PYTHONPATH', '')}"
+    done = run_python("-c", TRITON, env={**os.environ, "PYTHONPATH": path})
+    assert done.stdout == "True\n", done.stderr
 
 
 WORKER = """

@@ -5,7 +5,8 @@ OpenGL is not used before a context is requested, so that everything without ima
 
 from __future__ import annotations
 
-import importlib
+import ctypes
+import importlib.util
 import logging
 import os
 import subprocess
@@ -15,6 +16,7 @@ from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext, suppress
 from dataclasses import dataclass
 from functools import cache
+from pathlib import Path
 
 import mujoco
 
@@ -66,6 +68,7 @@ def make_context(width: int, height: int) -> tuple[mujoco.GLContext, GlRenderer]
     check_process()
     backend = choose_backend()
     logging.getLogger("OpenGL").setLevel(logging.WARNING)  # a script's log is not for what PyOpenGL could do with
+    _load_triton()
     try:
         module = f"mujoco.{backend}" if backend in HEADLESS else "mujoco.rendering.classic.gl_context"
         with _driver:
@@ -85,6 +88,19 @@ def make_context(width: int, height: int) -> tuple[mujoco.GLContext, GlRenderer]
             f"OpenGL does not work with MUJOCO_GL={backend} ({type(error).__name__}: {reason}); "
             f"unset MUJOCO_GL, or install {PACKAGES} (Debian)"
         ) from error
+
+
+@cache
+def _load_triton() -> None:
+    """Load Triton's library, where PyTorch's CUDA builds have it, before Mesa's: each brings an LLVM.
+
+    Mesa's is found by all that is loaded later, and Triton, which stable-baselines3 imports, crashed with it.
+    """
+    spec = importlib.util.find_spec("triton") if sys.platform == "linux" else None
+    for folder in (spec and spec.submodule_search_locations) or ():
+        for library in Path(folder).glob("_C/libtriton*.so"):
+            with suppress(OSError):
+                ctypes.CDLL(str(library))
 
 
 def _named(backend: str, name: str) -> GlRenderer:
