@@ -170,6 +170,10 @@ def test_disparity_normals_and_infrared() -> None:
     sky = seen.inside() & (seen.box < 0)
     assert not pixels(normals)[sky].any()
     assert not pixels(infrared)[sky].any()
+    wire.call("simSetVehiclePose", pose(36.0, 0.0, -6.0), True, "")
+    wire.call("simSetCameraFov", "0", 1.0, "")
+    [near] = wire.images(("0", DISPARITY, True))
+    assert (floats(near) == 1.0).all(), "through a long lens 5.5 m are too near"
 
 
 def test_what_cannot_be_drawn_is_refused_alone() -> None:
