@@ -183,6 +183,7 @@ def test_what_cannot_be_drawn_is_refused_alone() -> None:
     first, flow, last = wire.images(("0", SCENE, False), ("0", FLOW, False), ("2", PLANAR, True))
     assert flow["message"].startswith("image type 8 is not available")
     assert (flow["width"], flow["height"], flow["image_data_uint8"], flow["image_data_float"]) == (0, 0, b"", [])
+    assert wire.call("simGetImages", [{"image_type": FLOW, "compress": True}], "", False)[0]["image_data_uint8"] == b""
     assert (first["message"], last["message"]) == ("", "")
     assert len(first["image_data_uint8"]) == 256 * 144 * 3
     stamps = {response["time_stamp"] for response in (first, flow, last)}
