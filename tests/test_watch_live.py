@@ -280,7 +280,7 @@ def test_a_flight_that_was_held_up_is_not_hurried(tmp_path: Path, monkeypatch: p
             return found
 
     monkeypatch.setattr(broadcast, "MonotonicClock", lambda: clock)
-    monkeypatch.setattr(broadcast.select, "poll", Ready)
+    monkeypatch.setattr(select, "poll", Ready)
     monkeypatch.setenv(PAGE, str(tmp_path / "page"))
     with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as listening:
         listening.bind(str(tmp_path / "page"))
