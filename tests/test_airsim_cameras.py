@@ -22,7 +22,7 @@ SKY_M = 65504.0
 WIDE = BLOCKS | {"ground": ((0.0, 0.0, 1.0), (1e4, 1e4, 1.0))}
 VEHICLE = Pose((3.0, -4.0, -8.0), (8.0, -6.0, 25.0))
 SETTINGS = {
-    "CameraDefaults": {"CaptureSettings": [{"ImageType": 1, "Width": 96, "Height": 54}]},
+    "CameraDefaults": {"CaptureSettings": [{"ImageType": kind, "Width": 96, "Height": 54} for kind in (6, 1)]},
     "ExternalCameras": {"mast": {"X": -5, "Y": 10, "Z": -20, "Pitch": -30, "Yaw": -45}},
     "Vehicles": {
         "Eye": {
@@ -30,7 +30,7 @@ SETTINGS = {
                 "tail": {"X": -1.0, "Z": -0.5, "Pitch": -20, "Yaw": 170},
                 "2": {
                     "Y": -0.5,
-                    "CaptureSettings": [{"ImageType": 1, "Width": 64, "Height": 80, "FOV_Degrees": 60}],
+                    "CaptureSettings": [{"ImageType": 1, "Width": 288, "Height": 60, "FOV_Degrees": 60}],
                     "Gimbal": {"Stabilization": 1},
                 },
             }
@@ -40,7 +40,7 @@ SETTINGS = {
 MOUNTS = {  # by name: metres FRD; roll, pitch, yaw in degrees; columns, rows, degrees across
     "front_center": ((0.46, 0.0, 0.0), (0, 0, 0), 96, 54, 90),
     "1": ((0.46, 0.125, 0.0), (0, 0, 0), 96, 54, 90),
-    "front_left": ((0.46, -0.5, 0.0), (0, 0, 0), 64, 80, 60),
+    "front_left": ((0.46, -0.5, 0.0), (0, 0, 0), 288, 60, 60),
     "3": ((0.0, 0.0, 0.12), (0, -90, 0), 96, 54, 90),
     "back_center": ((-0.46, 0.0, 0.0), (0, 0, 180), 96, 54, 90),
     "tail": ((-1.0, 0.0, -0.5), (0, -20, 170), 96, 54, 90),
@@ -170,6 +170,10 @@ def test_disparity_normals_and_infrared() -> None:
     sky = seen.inside() & (seen.box < 0)
     assert not pixels(normals)[sky].any()
     assert not pixels(infrared)[sky].any()
+    wire.call("simSetVehiclePose", pose(36.0, 0.0, -6.0), True, "")
+    wire.call("simSetCameraFov", "0", 1.0, "")
+    [near] = wire.images(("0", DISPARITY, True))
+    assert (floats(near) == 1.0).all(), "through a long lens 5.5 m are too near"
 
 
 def test_what_cannot_be_drawn_is_refused_alone() -> None:
@@ -179,6 +183,7 @@ def test_what_cannot_be_drawn_is_refused_alone() -> None:
     first, flow, last = wire.images(("0", SCENE, False), ("0", FLOW, False), ("2", PLANAR, True))
     assert flow["message"].startswith("image type 8 is not available")
     assert (flow["width"], flow["height"], flow["image_data_uint8"], flow["image_data_float"]) == (0, 0, b"", [])
+    assert wire.call("simGetImages", [{"image_type": FLOW, "compress": True}], "", False)[0]["image_data_uint8"] == b""
     assert (first["message"], last["message"]) == ("", "")
     assert len(first["image_data_uint8"]) == 256 * 144 * 3
     stamps = {response["time_stamp"] for response in (first, flow, last)}

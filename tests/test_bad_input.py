@@ -105,9 +105,10 @@ task.t_move_s = 0 | 1e-9 | 1e308; task.t_sample_s = 0 | 0.0033; task.t_th_wall_s
 task.observation = lidar | 3; task.knows = [wind] | [last_action,last_action]
 task.progress_reward = .nan | 1e308 | much; task.image_processing_s = -1 | 1e308; task.split = test
 task.lane = [1] | 7; task.difficulty.obstacles_per_row = 5 | -1; task.difficulty.row_spacing_m = 0 | 1e308
-task.difficulty.first_row_m = 0.5 | 1e308; task.difficulty.wind_m_s = 21 | -1
+task.difficulty.first_row_m = 0.5 | 1e308; task.difficulty.wind_m_s = 21 | -1; task.difficulty.half_width_m = 0 | 3
 task.difficulty.light = [0] | [1,2] | [1,0.5] | dark; task.difficulty.min_gap_m = 0.1 | 1e308
-task.difficulty.texture = 1
+task.difficulty.texture = 1; task.difficulty.texture_variation = 1.1 | -0.1; task.difficulty.mass_ratio = 0.4 | 1.6
+task.difficulty.thrust_ratio = 0.6 | 1.6
 """,
     "train --set algorithm=sb3_ppo --set": "options.buffer_size = 100",
     "train --set algorithm=sb3_ppo --set mirror=false --set": "options.n_steps = 0 | many | 10000000000000",

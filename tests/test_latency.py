@@ -238,6 +238,7 @@ def test_a_factor_varies_one_channel_of_the_model_that_ships() -> None:
     assert thrice.reply_ns("pause") == 3 * once.reply_ns("pause") > 0
     assert read("airsim", {"reply_us": {"pause": 1}}) == shipped
     measured = shipped_latency("native").reply_us
+    assert read("airsim", {"reply_us": {"move@5ms": 4}}).reply_us["move@5ms"] == slow.reply_us["move"]
     waited = read("native", {"reply_us": {"move": 2, "pause@5ms": 3}}).reply_us
     assert waited["pause@5ms"] == tuple(3 * x for x in measured["pause@5ms"])
     for channel in {name.partition("@")[0] for name in measured}:

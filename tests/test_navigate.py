@@ -38,17 +38,17 @@ def test_a_world_is_a_function_of_its_seed() -> None:
 def test_a_shape_is_nine_numbers_and_stands_where_there_is_room(gap_m: float) -> None:
     """Each key of the distribution by its own share of NumPy's numbers; start, goal and gaps are kept clear."""
     shares = {"boxes": 0.8, "cylinders": 0.6, "ellipsoids": 0.4, "spheres": 0.2}
-    keys: dict[str, Any] = {"half_m": (0.3, 1.2), "clear_start_m": 5.0, "clear_goal_m": 3.0, "gap_m": gap_m}
-    made = sample_world(3, Clutter(shapes=200, **keys, **shares), GOAL_M)
-    share, x, y, *halves, z, turn, grey = np.random.default_rng(3).random((200, 9)).T
+    keys: dict[str, Any] = {"half_m": (0.3, 3.0), "clear_start_m": 9.0, "clear_goal_m": 7.0, "gap_m": gap_m}
+    made = sample_world(1, Clutter(shapes=200, **keys, **shares), GOAL_M)
+    share, x, y, *halves, z, turn, grey = np.random.default_rng(1).random((200, 9)).T
     kind = np.array(["box", "cylinder", "ellipsoid", "sphere"])[np.searchsorted([0.4, 0.7, 0.9], share, "right")]
     box, pillar, round_ = kind == "box", np.isin(kind, ["box", "cylinder"]), np.isin(kind, ["cylinder", "sphere"])
-    half_x, half_y, half_z = (0.3 + 0.9 * half for half in halves)
+    half_x, half_y, half_z = (0.3 + 2.7 * half for half in halves)
     half_y, x, y = np.where(round_, half_x, half_y), -4.0 + 48.0 * x, -24.0 + 48.0 * y
     half_z = np.select([pillar, kind == "sphere"], [5.0, 0.0], half_z)
     yaw = np.where(round_, 0.0, 2.0 * np.arctan(np.tan(np.pi / 8) * (2.0 * turn - 1.0)))
     stands = np.ones(200, bool)
-    for north, west, clear_m in ((0.0, 0.0, 5.0), (30.0, -5.0, 3.0)):
+    for north, west, clear_m in ((0.0, 0.0, 9.0), (30.0, -5.0, 7.0)):
         right, up = north - x, west - y
         along, across = abs(np.cos(yaw) * right + np.sin(yaw) * up), abs(np.cos(yaw) * up - np.sin(yaw) * right)
         from_box = np.hypot(np.maximum(along - half_x, 0.0), np.maximum(across - half_y, 0.0))

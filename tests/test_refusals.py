@@ -65,6 +65,8 @@ def test_each_call_is_refused_in_its_words_and_changes_nothing() -> None:
         assert wire.call("listVehicles") == ["SimpleFlight"], call
     assert said == expected
     assert len(said) > 80
+    counted, methods = wire.api.refusals.lines(), {call.partition("(")[0] for call, _ in said}
+    assert {line.split()[2] for line in counted} == {method for method in methods if CALLS[method].joined}
 
 
 def test_unknown_calls_and_numbers_of_arguments_are_refused_in_rpclibs_words() -> None:

@@ -144,15 +144,19 @@ def test_a_long_command_is_no_silence_of_a_dead_server(monkeypatch: pytest.Monke
         answer(4)
         answer(5)
         assert (late.done, other.done, client.stalled_ns) == (True, True, 2 * STALL_NS), "no time is counted twice"
-        for _ in range(2):
-            client.send("uavaccelState", (), blocking=True)
+        for method, given in (("simPause", (False,)), ("uavaccelState", ())):
+            client.send(method, given, blocking=True)
             clock.charge(STALL_NS)
         peer.sendall(rpc.pack_response(6, None, True) + rpc.pack_response(7, None, True))
         client._receive()
         assert client.stalled_ns == 4 * STALL_NS, "of answers that arrive together the first was due for longest"
         client._look()
+        clock.charge(2 * STALL_NS)
+        answer(8)
+        assert client.stalled_ns == 6 * STALL_NS, "nor did it answer while nothing else was due"
         client._look()
-        assert asked[2:] == [clock.now_ns(), -1], "it did not answer the ping: is its process there?"
+        client._look()
+        assert asked[3:] == [clock.now_ns(), -1], "it did not answer the ping: is its process there?"
         client.close()
         peer.close()
 

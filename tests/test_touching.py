@@ -37,6 +37,7 @@ def test_in_the_lane_a_teleport_ends_a_collision() -> None:
     put_vehicle(world, (5.0, 4.0, -2.0), velocity_m_s=(0.0, 8.0, 0.0))
     assert world.advance(500) < 500
     assert world.lead.collision_tick is not None
+    assert np.abs(world.lead.state["acceleration"]).max() < 20.0, "what ends a game does not push back"
     world.teleport(world.lead, (5.0, 0.0, -2.0), LEVEL, (0.0, 0.0, 0.0))
     assert world.lead.contact_log.count == 0
     assert world.advance(100) == 100

@@ -123,7 +123,8 @@ def test_a_camera_sees_through_its_own_vehicle_alone() -> None:
     """By rays: what is detected, and the normals of surfaces, of which the sky has none."""
     mast = {"X": 5, "Y": 5, "Z": -30, "Pitch": -90}
     small = [{"ImageType": 6, "Width": 33, "Height": 33, "FOV_Degrees": 20}]
-    settings: dict[str, Any] = {"CameraDefaults": {"CaptureSettings": small}, "ExternalCameras": {"mast": mast}}
+    settings: dict[str, Any] = {"CameraDefaults": {"CaptureSettings": small}}
+    settings["ExternalCameras"] = {"mast": mast, "block_north": mast}  # vehicles alone have names of their own
     api = made(render=True, **settings, Vehicles={"A": {"X": -30, "Y": -30}, "B": ASIDE})
 
     def normals(camera: str, vehicle: str, external: bool) -> NDArray[np.uint8]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import select
 import socket
 import threading
 from collections.abc import Iterator
@@ -34,6 +35,7 @@ from uavaccel.suites.dp1 import Dp1
 from uavaccel.suites.evaluate import Evaluation
 from uavaccel.suites.session import RunRequest
 from uavaccel.suites.train import Training
+from uavaccel.units import NS_PER_S
 from uavaccel.watch import beside
 from uavaccel.watch.beside import page_beside
 from uavaccel.watch.page import Moment
@@ -260,6 +262,41 @@ def test_a_page_is_told_as_often_as_it_looks_and_of_each_reset(tmp_path: Path, m
     clock.charge(40_000_000)
     simulation.advance_to(simulation.pacer.wall_due(world.tick + every))
     assert not world._observers
+
+
+def test_a_flight_that_was_held_up_is_not_hurried(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Shown at half its pace, a refresh takes twice its time; those that a stopped machine missed are not made good."""
+    clock, took_ns = VirtualClock(), []
+    world, ready = World("blocks", NATIVE), select.poll
+
+    class Ready:
+        def __init__(self) -> None:
+            self._poll = ready()
+            self.register = self._poll.register
+
+        def poll(self, milliseconds: float) -> list[Any]:
+            if not (found := self._poll.poll(0)):
+                clock.charge(round(milliseconds * 1e6))
+            return found
+
+    monkeypatch.setattr(broadcast, "MonotonicClock", lambda: clock)
+    monkeypatch.setattr(select, "poll", Ready)
+    monkeypatch.setenv(PAGE, str(tmp_path / "page"))
+    with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as listening:
+        listening.bind(str(tmp_path / "page"))
+        listening.listen()
+        show_on_page(Simulation(world), may_pause=True)
+        page, _ = listening.accept()
+    page.send(json.dumps({**FREE, "seen": True, "pace": 0.5}).encode())
+    clock.charge(NS_PER_S)
+    world.advance(2000)  # the order is heard on the way
+    for stopped_ns in (0, 0, NS_PER_S, 0, 0):
+        clock.charge(stopped_ns)
+        before_ns = clock.now_ns()
+        world.advance(16)
+        took_ns.append(clock.now_ns() - before_ns)
+    assert took_ns == [64_000_000, 64_000_000, 0, 64_000_000, 64_000_000]
+    page.close()
 
 
 @pytest.mark.wall_clock

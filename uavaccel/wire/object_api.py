@@ -212,7 +212,8 @@ class DetectionApi(Calls, title="Objects"):
 
     def _is_visible(self, name: str, corners: NDArray[np.float64], eye: Pose, camera: CameraMount) -> bool:
         world, middle = self.simulation.world, corners.mean(axis=0)
-        points = np.vstack([middle, middle + INSIDE * (corners - middle), middle + INSIDE / 2 * (corners - middle)])
+        outwards = INSIDE * (corners - middle)
+        points = np.vstack([middle, middle + outwards, middle + outwards / 2])
         ways = points - np.array(eye.position_m)
         lengths = np.linalg.norm(ways, axis=1)
         far = lengths > 0

@@ -295,8 +295,8 @@ class VirtualTransport(Transport):
             if call.channel == "image":
                 ready_ns = self._api.simulation.frames.ready_ns(ready_ns)
             call.reply_wall_ns = ready_ns + self._latency.reply_ns(call.channel)
-        self._unanswered = None if blocking else call
         if not blocking:
+            self._unanswered = call
             self.clock.charge(self._latency.issue_ns())
         return call
 

@@ -153,9 +153,8 @@ class Camera:
         self._canvas = Canvas.open(model, width, height)
         self._context, self._turns = self._canvas.context, self._canvas.turns
         self._is_open = True
-        if not _open_cameras:  # before MuJoCo's own exit handler, which removes the display: last in, first out
-            atexit.unregister(_close_all)
-            atexit.register(_close_all)
+        atexit.unregister(_close_all)
+        atexit.register(_close_all)  # before MuJoCo's own exit handler, which removes the display: last in, first out
         _open_cameras.add(self)
 
     def _look_through(self, lens: Lens) -> None:
