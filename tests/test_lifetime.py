@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import os
 import signal
 import subprocess
@@ -94,6 +95,15 @@ def test_a_worker_does_not_hear_ctrl_c_before_it_is_bound_to_its_parent(monkeypa
     assert signal.pthread_sigmask(signal.SIG_BLOCK, ()) == set()
 
 
+def test_a_worker_finds_what_its_parent_finds_in_its_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "of_this_folder.py").write_text("def read():\n    return open('beside').read()\n")
+    (tmp_path / "beside").write_text("found")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", ["", *sys.path])  # as in a notebook
+    read = importlib.import_module("of_this_folder").read
+    assert list(workers.on_this_machine(2, 1, [(read, (), {})])) == ["found"]
+
+
 @pytest.mark.parametrize(
     ("program", "seconds", "status"),
     [("", 60.0, 0), ("import signal; signal.pause()", 0.01, -9), ("import os; os.kill(os.getpid(), 19)", 60.0, -9)],
@@ -136,7 +146,10 @@ stalls.guard_children(lambda line: (print(line, flush=True), said.set()))
 stalls.guard_children(lambda line: print("twice", flush=True))
 print(stopped.pid, flush=True)
 if sys.argv[1] != "ends":
-    stopped.wait()
+    try:
+        stopped.wait()
+    finally:  # as who waits for its processes does
+        stopped.wait(60.0)
     said.wait()
 else:
     while not stalls.is_stopped(stopped.pid):
@@ -168,14 +181,14 @@ def test_a_stopped_child_is_ended_after_some_looks(how: str) -> None:
 TEMPLATE = """
 import os, signal, sys, time
 from uavaccel.processes.forks import fork_each
-ends = [int, lambda: os._exit(3), lambda: os.kill(os.getpid(), 9), lambda: 1 / 0, *[signal.pause] * 2]
+ends = [lambda: print("over"), lambda: os._exit(3), lambda: os.kill(os.getpid(), 9), lambda: 1 / 0, *[signal.pause] * 2]
 fork_each([[]] * len(ends), int(sys.argv[1]), lambda number: ends[number]())
 """
 
 
 def forked() -> Forks:
     reports, told = os.pipe()
-    template = lifetime.start_python("-c", TEMPLATE, str(told), pass_fds=(told,), stdout=subprocess.DEVNULL)
+    template = lifetime.start_python("-c", TEMPLATE, str(told), pass_fds=(told,), environment={"PYTHONUNBUFFERED": ""})
     os.close(told)
     (forks := Forks(template, 6, reports)).read_reports(60.0)
     return forks
@@ -201,7 +214,8 @@ def test_forks_are_waited_for_and_ended_as_processes_are(capfd: pytest.CaptureFi
     template = (forks := forked()).template
     *ended, waits, stays = forks.each()
     assert [fork.wait(60.0) for fork in ended] == [fork.poll() for fork in ended] == [0, 3, -9, 1]
-    assert "ZeroDivisionError" in capfd.readouterr().err
+    said = capfd.readouterr()
+    assert (said.out, "ZeroDivisionError" in said.err) == ("over\n", True)
     assert len({template.pid, *(fork.pid for fork in forks.each())}) == 7
     with pytest.raises(subprocess.TimeoutExpired):
         waits.wait(0.01)
