@@ -142,10 +142,16 @@ if sys.argv[1] == "waits":
     stalls.GUARD_POLLS = 1 << 30
 stopped = subprocess.Popen([sys.executable, "-c", "import os, signal; os.kill(os.getpid(), signal.SIGSTOP)"])
 said = threading.Event()
+if sys.argv[1] == "goes on":
+    looks = [*("T" * (stalls.GUARD_POLLS - 1) + "S") * 2]
+    stalls.is_stopped = lambda pid: looks.pop(0) == "T" if looks else bool(said.set())
 stalls.guard_children(lambda line: (print(line, flush=True), said.set()))
 stalls.guard_children(lambda line: print("twice", flush=True))
 print(stopped.pid, flush=True)
-if sys.argv[1] != "ends":
+if sys.argv[1] == "goes on":
+    said.wait()
+    stopped.kill()
+elif sys.argv[1] != "ends":
     try:
         stopped.wait()
     finally:  # as who waits for its processes does
@@ -158,7 +164,7 @@ else:
 
 
 @pytest.mark.wall_clock
-@pytest.mark.parametrize("how", ["looks", "waits", "ends"])
+@pytest.mark.parametrize("how", ["looks", "waits", "ends", "goes on"])
 def test_a_stopped_child_is_ended_after_some_looks(how: str) -> None:
     """Only the first is worth a line: otherwise the command ends as well."""
     command = [sys.executable, "-c", GUARDED, how]
