@@ -42,7 +42,7 @@ from uavaccel.fly.modules import Patches
 from uavaccel.fly.script import FlightOver, hide_frames_everywhere
 from uavaccel.fly.simulated import READING_NS
 from uavaccel.fly.threads import OutsideEvents, SharedModules, ThreadModules
-from uavaccel.fly.turns import Turns
+from uavaccel.fly.turns import BUSY, Turns
 from uavaccel.units import NS_PER_S
 
 pytestmark = pytest.mark.timeout(120)  # what waits wrongly waits for ever
@@ -402,6 +402,14 @@ def sockets(s: Script) -> None:
             s.say(connection.recv_into(bytearray(9)))
             s.ask(partial(receiver.recvfrom, 9))
         thread.join()
+    event = s.threading.Event()
+    [thread] = s.start(event.wait)
+    ours, theirs = socket.socketpair()
+    with ours, theirs, subprocess.Popen(["sh", "-c", "sleep 0.1; echo pong"], stdout=theirs.fileno()):
+        ours.settimeout(LATER_S)  # which another program's data are in time for
+        s.ask(partial(ours.recv, 9))
+        event.set()
+        thread.join()
 
 
 @program
@@ -554,11 +562,24 @@ def test_a_thread_that_waits_is_not_looked_after_before_it_wakes(script: Any) ->
     event = script.threading.Event()
     [thread] = script.start(lambda: (event.wait(), script.say(script.clock.now_ns())))
     script.sleep(3600.0)
-    waited = script.turns._order
+    waited = script.turns._acts
     event.set()
     thread.join()
     assert script.said == [(3600 * NS_PER_S,)]
     assert waited < 10
+
+
+def test_late_threads_run_in_the_order_of_their_times(script: Any) -> None:
+    event = script.threading.Event()
+    threads = script.start(lambda: (event.wait(), script.say("event")))
+    for number, until_s in enumerate((2, 1, 2, 3)):
+        threads += script.start(lambda number=number, s=until_s: (script.sleep(s), script.say(number, s)))
+    script.sleep(0.0)
+    script.clock.charge(3 * NS_PER_S)
+    event.set()
+    for thread in threads:
+        thread.join()
+    assert script.said == [(1, 1), (0, 2), (2, 2), ("event",), (3, 3)]
 
 
 def test_a_librarys_pools_keep_pythons_threads(script: Any) -> None:
@@ -566,7 +587,7 @@ def test_a_librarys_pools_keep_pythons_threads(script: Any) -> None:
 
     for _ in range(2):
         assert Parallel(n_jobs=2, backend="threading")(delayed(abs)(-number) for number in range(3)) == [0, 1, 2]
-    assert (seconds(script), script.turns._order) == (0.0, 0)
+    assert (seconds(script), script.turns._acts) == (0.0, 0)
 
 
 def test_an_exception_ends_its_thread_alone(script: Any, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -655,6 +676,11 @@ def test_a_thread_that_lets_no_other_one_run_is_told_of_once(
     turns = Turns(VirtualClock(), limit_ns=3 * NS_PER_S)
     modules: Any = ThreadModules(turns).threading
     event, woken, said = modules.Event(), list[bool](), ""
+    before = modules.Thread(target=int)
+    before.start()
+    before.join()
+    while BUSY in [thread.name for thread in threading.enumerate()]:
+        pass
     waits = modules.Thread(target=event.wait)
     waits.start()
     waits.join(1.0)
@@ -672,6 +698,7 @@ def test_a_thread_that_lets_no_other_one_run_is_told_of_once(
         r"uavaccel: warning: the script has computed for 0\.01 s, and its other .* --timing wall\n", said
     )
     assert not woken
+    time.sleep(0.1)
     event.set()
     for thread in (other, waits):
         thread.join()
@@ -683,7 +710,10 @@ def test_a_forked_process_waits_by_its_own_clock() -> None:
     """Beyond the flight's end, and without the threads that it does not have."""
     turns, own = Turns(VirtualClock(), limit_ns=3 * NS_PER_S), VirtualClock(5 * NS_PER_S)
     modules: Any = ThreadModules(turns).threading
-    modules.Thread(target=modules.Event().wait).start()
+    ran = list[bool]()
+    modules.Thread(target=ran.append, args=(True,)).start()
     turns.forked(own)
     assert modules.Event().wait(4.0) is False
-    assert (own.now_ns(), turns.running) == (9 * NS_PER_S, [])
+    assert (own.now_ns(), turns.running, ran) == (9 * NS_PER_S, [], [])
+    looks: Any = {4.0: ["data"]}.get  # which arrive in the machine's time
+    assert OutsideEvents(turns, time).wait(looks, 4.0, patient=False) == ["data"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import os
 import signal
 import subprocess
@@ -94,6 +95,15 @@ def test_a_worker_does_not_hear_ctrl_c_before_it_is_bound_to_its_parent(monkeypa
     assert signal.pthread_sigmask(signal.SIG_BLOCK, ()) == set()
 
 
+def test_a_worker_finds_what_its_parent_finds_in_its_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "of_this_folder.py").write_text("def read():\n    return open('beside').read()\n")
+    (tmp_path / "beside").write_text("found")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", ["", *sys.path])  # as in a notebook
+    read = importlib.import_module("of_this_folder").read
+    assert list(workers.on_this_machine(2, 1, [(read, (), {})])) == ["found"]
+
+
 @pytest.mark.parametrize(
     ("program", "seconds", "status"),
     [("", 60.0, 0), ("import signal; signal.pause()", 0.01, -9), ("import os; os.kill(os.getpid(), 19)", 60.0, -9)],
@@ -132,11 +142,20 @@ if sys.argv[1] == "waits":
     stalls.GUARD_POLLS = 1 << 30
 stopped = subprocess.Popen([sys.executable, "-c", "import os, signal; os.kill(os.getpid(), signal.SIGSTOP)"])
 said = threading.Event()
+if sys.argv[1] == "goes on":
+    looks = [*("T" * (stalls.GUARD_POLLS - 1) + "S") * 2]
+    stalls.is_stopped = lambda pid: looks.pop(0) == "T" if looks else bool(said.set())
 stalls.guard_children(lambda line: (print(line, flush=True), said.set()))
 stalls.guard_children(lambda line: print("twice", flush=True))
 print(stopped.pid, flush=True)
-if sys.argv[1] != "ends":
-    stopped.wait()
+if sys.argv[1] == "goes on":
+    said.wait()
+    stopped.kill()
+elif sys.argv[1] != "ends":
+    try:
+        stopped.wait()
+    finally:  # as who waits for its processes does
+        stopped.wait(60.0)
     said.wait()
 else:
     while not stalls.is_stopped(stopped.pid):
@@ -145,7 +164,7 @@ else:
 
 
 @pytest.mark.wall_clock
-@pytest.mark.parametrize("how", ["looks", "waits", "ends"])
+@pytest.mark.parametrize("how", ["looks", "waits", "ends", "goes on"])
 def test_a_stopped_child_is_ended_after_some_looks(how: str) -> None:
     """Only the first is worth a line: otherwise the command ends as well."""
     command = [sys.executable, "-c", GUARDED, how]
@@ -168,14 +187,14 @@ def test_a_stopped_child_is_ended_after_some_looks(how: str) -> None:
 TEMPLATE = """
 import os, signal, sys, time
 from uavaccel.processes.forks import fork_each
-ends = [int, lambda: os._exit(3), lambda: os.kill(os.getpid(), 9), lambda: 1 / 0, *[signal.pause] * 2]
+ends = [lambda: print("over"), lambda: os._exit(3), lambda: os.kill(os.getpid(), 9), lambda: 1 / 0, *[signal.pause] * 2]
 fork_each([[]] * len(ends), int(sys.argv[1]), lambda number: ends[number]())
 """
 
 
 def forked() -> Forks:
     reports, told = os.pipe()
-    template = lifetime.start_python("-c", TEMPLATE, str(told), pass_fds=(told,), stdout=subprocess.DEVNULL)
+    template = lifetime.start_python("-c", TEMPLATE, str(told), pass_fds=(told,), environment={"PYTHONUNBUFFERED": ""})
     os.close(told)
     (forks := Forks(template, 6, reports)).read_reports(60.0)
     return forks
@@ -201,7 +220,8 @@ def test_forks_are_waited_for_and_ended_as_processes_are(capfd: pytest.CaptureFi
     template = (forks := forked()).template
     *ended, waits, stays = forks.each()
     assert [fork.wait(60.0) for fork in ended] == [fork.poll() for fork in ended] == [0, 3, -9, 1]
-    assert "ZeroDivisionError" in capfd.readouterr().err
+    said = capfd.readouterr()
+    assert (said.out, "ZeroDivisionError" in said.err) == ("over\n", True)
     assert len({template.pid, *(fork.pid for fork in forks.each())}) == 7
     with pytest.raises(subprocess.TimeoutExpired):
         waits.wait(0.01)

@@ -166,6 +166,11 @@ def test_a_suite_in_a_package_is_imported_from_above_it(here: Path, monkeypatch:
         look_also_in(str(here))
         assert folder_of(type(find_suite(f"{module}:Toy", "toy.yaml"))) == here
     assert folder_of(type(find_suite("dp1", "dp1.yaml"))) is None
+    forget_own_code(monkeypatch)
+    monkeypatch.chdir(here)
+    (package / "__init__.py").write_text(FOREIGN)  # runs before what is in the package
+    with pytest.raises(UserError, match=r"toy\.py has changed since it was trusted"):
+        find_suite("toys.inner.toy:Toy", "toy.yaml")
 
 
 def test_of_modules_of_one_name_a_run_means_that_of_its_folder(here: Path) -> None:

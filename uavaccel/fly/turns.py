@@ -33,22 +33,22 @@ TURN_POLL_NS = 1_000_000  # a thread whose answer depends on another thread poll
 class Turn:
     """A waiting thread: it waits for a time, for an event, or for whichever comes first.
 
-    Of two threads that may continue, the one that has waited longer does. `outside` waits for events of the machine,
-    such as data on a socket, for so many of the machine's seconds; it is called when no thread can continue, and of a
-    `patient` thread also before its time-out, if nothing but that can make any thread continue.
+    Of the threads that may continue, the one whose time came first does, or that has waited longest. `outside` waits
+    for events of the machine, such as data on a socket, for so many of the machine's seconds; it is called when no
+    thread can continue, and of a `patient` thread also before its time-out, if nothing but that can make any thread
+    continue.
     """
 
     wake_ns: float
-    order: int
     happened: Callable[[], bool] | None = None
     outside: Callable[[float], object] | None = None
     patient: bool = False
     begins: threading.Event = field(default_factory=threading.Event)
 
-    def due(self, now_ns: int) -> tuple[float, int]:
-        """Return when the thread may continue, and its place among those that may continue then."""
+    def due_ns(self, now_ns: int) -> float:
+        """Return when the thread may continue."""
         ready = self.wake_ns > now_ns and self.happened is not None and self.happened()
-        return (now_ns if ready else self.wake_ns), self.order
+        return now_ns if ready else self.wake_ns
 
 
 class Turns:
@@ -60,8 +60,7 @@ class Turns:
     def __init__(self, clock: WallClock, limit_ns: int | None = None) -> None:
         self._clock = clock
         self._limit_ns = inf if limit_ns is None else limit_ns
-        self._waiting: list[Turn] = []
-        self._order = 0
+        self._waiting: list[Turn] = []  # who has waited longest comes first
         self._threads = {threading.get_ident()}
         self._strangers = WeakSet(threading.enumerate())  # threads older than the script do nothing for it
         self.running: list[Thread] = []
@@ -75,7 +74,7 @@ class Turns:
 
     def earliest_ns(self) -> int | None:
         """Return when the next waiting thread may run; None if time alone wakes no thread."""
-        wake_ns = min((turn.due(self.now_ns())[0] for turn in self._waiting), default=inf)
+        wake_ns = min((turn.due_ns(self.now_ns()) for turn in self._waiting), default=inf)
         return None if wake_ns == inf else int(wake_ns)
 
     def is_mine(self) -> bool:
@@ -108,8 +107,7 @@ class Turns:
             return True
         self.check_thread()
         end_ns = inf if timeout_s is None else self.now_ns() + round(max(timeout_s, 0.0) * NS_PER_S)
-        self._order += 1
-        mine = Turn(min(end_ns, self._limit_ns), self._order, happened, outside, patient)
+        mine = Turn(min(end_ns, self._limit_ns), happened, outside, patient)
         self._waiting.append(mine)
         self._wait(mine)
         if happened():
@@ -122,8 +120,7 @@ class Turns:
 
     def announce(self, wall_ns: int | None = None, happened: Callable[[], bool] | None = None) -> Turn:
         """Queue a thread that waits for a time, for an event, or for its first turn."""
-        self._order += 1
-        turn = Turn(self.now_ns() if wall_ns is None else wall_ns, self._order, happened)
+        turn = Turn(self.now_ns() if wall_ns is None else wall_ns, happened)
         self._waiting.append(turn)
         return turn
 
@@ -176,8 +173,8 @@ class Turns:
         self._acts += 1
         while True:
             now_ns = self.now_ns()
-            following = min(self._waiting, key=lambda turn: turn.due(now_ns))
-            wake_ns = following.due(now_ns)[0]
+            following = min(self._waiting, key=lambda turn: turn.due_ns(now_ns))
+            wake_ns = following.due_ns(now_ns)
             if following.outside and following.patient and now_ns < wake_ns < inf and self._is_alone(following):
                 following.patient = False
                 following.outside((wake_ns - now_ns) / NS_PER_S)
@@ -191,7 +188,7 @@ class Turns:
     def _is_alone(self, patient: Turn) -> bool:
         """Return whether nothing but its time-out can make any thread continue."""
         now_ns = self.now_ns()
-        return all(turn is patient or turn.due(now_ns)[0] == inf for turn in self._waiting)
+        return all(turn is patient or turn.due_ns(now_ns) == inf for turn in self._waiting)
 
     def _wait_outside(self) -> bool:
         """Wait for events of the machine, or of a thread outside of the turns; False if there can be none."""

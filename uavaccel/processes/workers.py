@@ -37,7 +37,7 @@ def on_this_machine(jobs: int, batch: int, calls: Iterable[Delayed]) -> Iterator
     from joblib.externals.loky.process_executor import TerminatedWorkerError
 
     # workers of an earlier call serve again, unless code is another, or looked up in another folder, since
-    bound = {"initializer": begin_worker, "initargs": (os.getpid(), Path.cwd(), tuple(sys.path), imported_code())}
+    bound = {"initializer": begin_worker, "initargs": (os.getpid(), tuple(sys.path), (Path.cwd(), imported_code()))}
     with parallel_config(backend=LOKY, inner_max_num_threads=1, **bound):
         ahead = f"{batch}*n_jobs"  # a longer queue would delay an interruption
         results: Any = None
@@ -57,8 +57,7 @@ def on_this_machine(jobs: int, batch: int, calls: Iterable[Delayed]) -> Iterator
                     results.close()
 
 
-def begin_worker(parent: int, folder: Path, path: Sequence[str], code: object) -> None:
-    """End with the parent from the start, before imports that take seconds, and find the files that it finds."""
+def begin_worker(parent: int, path: Sequence[str], state: object) -> None:
+    """End with the parent from the start, before imports that take seconds, and find the modules that it finds."""
     work_for_parent(parent)
-    os.chdir(folder)
     sys.path[:] = path
