@@ -497,7 +497,7 @@ FIXTURES = settings(suppress_health_check=[HealthCheck.function_scoped_fixture, 
 @example(Case(Post, GOES_ON, seed=1, commands=9, noise=0.1, work_s=0.7, events=("", "", "", "", "move")))
 @example(Case(Post, STANDS_IN_THE_GAP, seed=1, commands=9, noise=0.1, work_s=0.0, events=("", "", "", "", "move")))
 @example(Case(Few, {**UNSEEN, "max_commands": 2}, seed=0, commands=6, noise=0.1, work_s=0.0))
-@example(Case(ObstacleLane, MANY_GAMES, seed=0, commands=16, noise=0.1, work_s=0.0, events=("options", "", "", "seed")))
+@example(Case(ObstacleLane, MANY_GAMES, 0, 16, 0.1, 0.0, events=("options", "", "", "seed", "", "", "move")))
 @given(cases())
 @pytest.mark.usefixtures("a_gpu")
 def test_games_are_the_same_in_all_simulators(case: Case) -> None:
