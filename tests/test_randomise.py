@@ -16,6 +16,7 @@ from tests.opengl import needs_opengl
 from uavaccel.envs.conditions import Ranges
 from uavaccel.envs.kernel_batch import KernelBatch
 from uavaccel.envs.obstacle_lane import LaneTask, ObstacleLane
+from uavaccel.errors import UserError
 from uavaccel.kinematics import VelocityGoal
 from uavaccel.records import RunDirectory
 from uavaccel.sim.flight import of_velocity
@@ -144,6 +145,13 @@ def test_conditions_end_with_their_game_and_frames_between_samples_take_no_time(
                 info = environment.step(2)[4]
                 assert told.setdefault(seed, info) == info
     assert [len(told[seed].get("conditions", ())) for seed in (0, 1)] == [0, 2]
+
+
+def test_ranges_that_fit_together_alone_are_sampled_together() -> None:
+    ranges: dict[str, Any] = {"mass_ratio": [1.4, 1.4], "thrust_ratio": [1.2, 1.2]}
+    lane(randomise=ranges, difficulty={"thrust_ratio": 0.8}).close()
+    with pytest.raises(UserError, match=r"mass_ratio = 1\.4 must be at most 1.5 times thrust_ratio"):
+        lane(randomise={**ranges, "share": 0.5}, difficulty={"thrust_ratio": 0.8})
 
 
 def test_a_condition_may_have_a_share_of_its_own() -> None:
