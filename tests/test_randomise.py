@@ -169,7 +169,9 @@ def test_a_condition_may_have_a_share_of_its_own() -> None:
 
 def test_evaluation_lanes_have_the_whole_ranges_at_once() -> None:
     environment = lane(split="evaluation", randomise={"wind_m_s": [5, 6], "widen_over_games": 100})
-    assert environment.reset(seed=0)[1]["conditions"]["wind_m_s"] >= 5
+    told = environment.reset(seed=0)[1]["conditions"]
+    assert told.pop("wind_m_s") >= 5
+    assert "wind_m_s" in environment.step(2)[4]["conditions"], "what is told is the caller's own"
 
 
 def test_a_seed_begins_the_widening_anew() -> None:
