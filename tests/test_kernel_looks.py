@@ -38,7 +38,7 @@ from uavaccel.kernels.quads import (
 from uavaccel.kernels.rays import touches
 from uavaccel.resources import asset
 from uavaccel.sim.camera.camera import Camera, make_cameras_with
-from uavaccel.sim.lane import Difficulty, LaneLayout, apply_layout, lane_seed, sample_layout
+from uavaccel.sim.lane import MAX_OBSTACLES, Difficulty, LaneLayout, apply_layout, lane_seed, sample_layout
 from uavaccel.units import mujoco_to_ned, ned_to_mujoco, quaternion_mujoco_to_ned, quaternion_ned_to_mujoco
 from uavaccel.vision.dvs import PRESETS, DvsParameters, init_state, make_sensor, step
 from uavaccel.vision.dvs_kernels import count_single_pixel
@@ -193,6 +193,12 @@ def test_refuses_what_it_cannot_draw(appearance: Appearance) -> None:
         numbers[:] = right
     lane.geom("wall_east").group = 3
     assert len(read_appearance(lane).fixed) == 2, "the ground and a wall: what is hidden is not drawn, nor the drone"
+
+
+def test_a_scene_has_room_for_a_lane_of_most_obstacles(appearance: Appearance) -> None:
+    scenes, layout = empty_scenes(1), sample_layout(0, Difficulty(obstacles_per_row=4, row_spacing_m=8.6))
+    fill_scenes(appearance, scenes, [0], [layout])
+    assert scenes.counts.tolist() == [len(layout) + 3] == [MAX_OBSTACLES + 3]
 
 
 # --- as a GPU's threads draw, column by column and quad by quad ----------------------------------------------------
