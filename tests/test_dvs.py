@@ -151,16 +151,16 @@ def test_a_pixel_rests_up_to_its_refractory_period_and_fires_after_it() -> None:
 
 
 DRIVEN: dict[str, float] = {"threshold_sigma": 0.03, "leak_rate_hz": 20.0, "hot_share": 0.2, "refractory_s": 0.0005}
-LEAK = {"leak_rate_hz": 100.0, "refractory_s": 0.005}
+LEAKS: dict[str, float] = {"leak_rate_hz": 100.0, "refractory_s": 0.005}
 
 
 @pytest.mark.parametrize(
     ("noise", "spacing_s", "can"),
     [
         *((DRIVEN, 0.002, True), (DRIVEN, 0.02, True), (DRIVEN, 0.06, False), (DRIVEN, 0.5, False)),
-        *((LEAK, 0.2, True), (LEAK, 0.4, False)),
-        (LEAK | {"leak_jitter_fraction": 0.1}, 0.4, True),
-        (LEAK | {"leak_rate_spread_decades": 0.1}, 0.4, True),
+        *((LEAKS, 0.2, True), (LEAKS, 0.4, False)),
+        (LEAKS | {"leak_jitter_fraction": 0.1}, 0.4, True),
+        (LEAKS | {"leak_rate_spread_decades": 0.1}, 0.4, True),
         *(({"hot_share": 0.01, "refractory_s": 0.09}, 20.0, True), ({"refractory_s": 0.09}, 20.0, False)),
     ],
 )
