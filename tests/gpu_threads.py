@@ -25,6 +25,7 @@ import uavaccel.kernels
 from tests import host_kernels
 
 WARP, OURS = 32, ("cuda", "cuda_views")
+DEALING_THREADS = 4  # fewer than a GPU's, so that each has several shapes
 
 
 class Thread:
@@ -163,7 +164,7 @@ def kernels_in_python() -> tuple[Gpu, dict[str, Any]]:
             patch.delitem(sys.modules, f"uavaccel.kernels.{name}")
             patch.setattr(uavaccel.kernels, name, None, raising=False)
         for name in reversed(OURS):
-            import_module(f"uavaccel.kernels.{name}")
+            vars(import_module(f"uavaccel.kernels.{name}"))["DEALING_THREADS"] = DEALING_THREADS
         return gpu, choosers.names_of("uavaccel.kernels.cuda", {})
 
 

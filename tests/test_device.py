@@ -77,6 +77,22 @@ def test_resets_take_options_and_actions_are_looked_at() -> None:
 
 
 @pytest.mark.usefixtures("host_kernels")
+@pytest.mark.parametrize("sampled", [{}, {"randomise": {"wind_m_s": [0, 6], "widen_over_games": 9}}])
+def test_a_batch_that_goes_back_to_a_state_flies_the_same_games_again(sampled: dict[str, Any]) -> None:
+    """Games of one command: by then the host has sampled others ahead."""
+    from uavaccel.envs.cuda_batch import CudaBatch
+
+    with closing(CudaBatch(ObstacleLane, 2, observation="state", max_commands=1, **sampled)) as batch:
+        batch.reset(seed=0)
+        batch.step([2, 2])
+        states, flown = deepcopy(batch.get_states()), []
+        for _ in range(2):
+            flown.append([batch.step([2, 3])[4]["final_info"]["lane"].tolist() for _ in range(9)])
+            batch.set_states(states)
+    assert flown[0] == flown[1]
+
+
+@pytest.mark.usefixtures("host_kernels")
 @pytest.mark.parametrize(
     ("kind", "wrong", "clipped", "right"),
     [

@@ -150,10 +150,23 @@ def test_a_pixel_rests_up_to_its_refractory_period_and_fires_after_it() -> None:
         assert on.sum() == fires
 
 
-@pytest.mark.parametrize(("spacing_s", "can"), [(0.002, True), (0.02, True), (0.06, False), (0.5, False)])
-def test_frames_far_apart_leave_no_events_to_suppress(spacing_s: float, can: bool) -> None:
+DRIVEN: dict[str, float] = {"threshold_sigma": 0.03, "leak_rate_hz": 20.0, "hot_share": 0.2, "refractory_s": 0.0005}
+LEAKS: dict[str, float] = {"leak_rate_hz": 100.0, "refractory_s": 0.005}
+
+
+@pytest.mark.parametrize(
+    ("noise", "spacing_s", "can"),
+    [
+        *((DRIVEN, 0.002, True), (DRIVEN, 0.02, True), (DRIVEN, 0.06, False), (DRIVEN, 0.5, False)),
+        *((LEAKS, 0.2, True), (LEAKS, 0.4, False)),
+        (LEAKS | {"leak_jitter_fraction": 0.1}, 0.4, True),
+        (LEAKS | {"leak_rate_spread_decades": 0.1}, 0.4, True),
+        *(({"hot_share": 0.01, "refractory_s": 0.09}, 20.0, True), ({"refractory_s": 0.09}, 20.0, False)),
+    ],
+)
+def test_frames_far_apart_leave_no_events_to_suppress(noise: dict[str, float], spacing_s: float, can: bool) -> None:
     """Where none can be, not even one black and one white frame after another have events that are too close."""
-    parameters = replace(dvs.PRESETS["command_line"], cutoff_hz=0.0, leak_rate_hz=20.0, hot_share=0.2)
+    parameters = replace(dvs.PRESETS["clean"], **{"threshold_sigma": 0.0} | noise)
     sensor = dvs.make_sensor(parameters, (144, 256), seed=0)
     assert dvs.can_suppress(sensor, spacing_s) == can
     for name in ("positive_threshold", "negative_threshold"):  # of which the lower one decides

@@ -481,6 +481,15 @@ STANDS_IN_THE_GAP: Keys = {
     "max_commands": 8,
 }
 """Nor does the end of a gap, whose motion is undone, let it go on."""
+FLIES_ON: Keys = {
+    "observation": "state",
+    "mediation": {"gap_s": 1.1, "image_age_s": 0.0, "start_speed": 1.0},
+    "lane": {"obstacles": [{"x_m": 4.48, "y_m": 0.0, "half_side_m": 0.3}]},
+    "t_move_s": 1.0,
+    "t_sample_s": 0.5,
+    "speed_m_s": 6.0,
+}
+"""It has come to rest just before a post when the gap is over, and its motion is undone."""
 MANY_GAMES: Keys = {
     "observation": "state",
     "max_commands": 1,
@@ -496,8 +505,9 @@ FIXTURES = settings(suppress_health_check=[HealthCheck.function_scoped_fixture, 
 @example(Case(ObstacleLane, {**HOLD_TO_COME, "observation": "state"}, 0, 8, 0.5, 0.0, events=("", "options", "move")))
 @example(Case(Post, GOES_ON, seed=1, commands=9, noise=0.1, work_s=0.7, events=("", "", "", "", "move")))
 @example(Case(Post, STANDS_IN_THE_GAP, seed=1, commands=9, noise=0.1, work_s=0.0, events=("", "", "", "", "move")))
+@example(Case(ObstacleLane, FLIES_ON, seed=0, commands=3, noise=0.0, work_s=0.0))
 @example(Case(Few, {**UNSEEN, "max_commands": 2}, seed=0, commands=6, noise=0.1, work_s=0.0))
-@example(Case(ObstacleLane, MANY_GAMES, seed=0, commands=16, noise=0.1, work_s=0.0, events=("options", "", "", "seed")))
+@example(Case(ObstacleLane, MANY_GAMES, 0, 16, 0.1, 0.0, events=("options", "", "", "seed", "", "", "move")))
 @given(cases())
 @pytest.mark.usefixtures("a_gpu")
 def test_games_are_the_same_in_all_simulators(case: Case) -> None:

@@ -38,7 +38,7 @@ from uavaccel.kernels.quads import (
 from uavaccel.kernels.rays import touches
 from uavaccel.resources import asset
 from uavaccel.sim.camera.camera import Camera, make_cameras_with
-from uavaccel.sim.lane import Difficulty, LaneLayout, apply_layout, lane_seed, sample_layout
+from uavaccel.sim.lane import MAX_OBSTACLES, Difficulty, LaneLayout, apply_layout, lane_seed, sample_layout
 from uavaccel.units import mujoco_to_ned, ned_to_mujoco, quaternion_mujoco_to_ned, quaternion_ned_to_mujoco
 from uavaccel.vision.dvs import PRESETS, DvsParameters, init_state, make_sensor, step
 from uavaccel.vision.dvs_kernels import count_single_pixel
@@ -195,6 +195,12 @@ def test_refuses_what_it_cannot_draw(appearance: Appearance) -> None:
     assert len(read_appearance(lane).fixed) == 2, "the ground and a wall: what is hidden is not drawn, nor the drone"
 
 
+def test_a_scene_has_room_for_a_lane_of_most_obstacles(appearance: Appearance) -> None:
+    scenes, layout = empty_scenes(1), sample_layout(0, Difficulty(obstacles_per_row=4, row_spacing_m=8.6))
+    fill_scenes(appearance, scenes, [0], [layout])
+    assert scenes.counts.tolist() == [len(layout) + 3] == [MAX_OBSTACLES + 3]
+
+
 # --- as a GPU's threads draw, column by column and quad by quad ----------------------------------------------------
 
 
@@ -308,6 +314,25 @@ NOISES: dict[str, dict[str, float]] = {
 }
 
 
+@kept(error_model="numpy")
+def see_twice(lane: int, levels: Any, time_s: float, pixels: Any, sensor: Any, camera: Any, seed: int) -> None:
+    """As `cpu.see`, pixel by pixel: they count before they see, as a GPU's threads do."""
+    columns, most = levels.shape[1], np.ones(lane + 1, np.int32)
+    base, filtered = pixels.base[lane], pixels.filtered.reshape(-1, columns)
+    for counting in (1, 0):
+        rest = events.Rest(pixels.last_s, most, counting)
+        for block in range(levels.size // 4):
+            normals, draws = events.block_draws(camera, seed, pixels.clock[lane] + 1, block)
+            for number in range(4):
+                y, x = divmod(4 * block + number, columns)
+                draw, moment = (normals[number], draws[number]), (lane, pixels.time_s[lane], time_s)
+                pixels.gathered[lane, y, x] += events.update_pixel(
+                    levels[y, x], camera, sensor, base, filtered, draw, y, x, moment, rest
+                )
+    pixels.clock[lane] += 1
+    pixels.time_s[lane] = time_s
+
+
 @pytest.mark.parametrize("noise", NOISES.values(), ids=NOISES)
 @pytest.mark.parametrize("refractory_s", [0.0001, 0.0005, 0.01])
 def test_pixels_rest_as_v2es_do(refractory_s: float, noise: dict[str, float]) -> None:
@@ -315,21 +340,23 @@ def test_pixels_rest_as_v2es_do(refractory_s: float, noise: dict[str, float]) ->
     rng, shape, seed, now_ns, rests = np.random.default_rng(1), (24, 32), 5, 0, 0
     parameters = DvsParameters(threshold_sigma=0.05, refractory_s=refractory_s, **noise)
     sensor, row = events.sensor_of(sample_pixels(parameters, shape, 3)), events.camera_row(parameters)
-    pixels = events.pixels_of(1, parameters, shape, shape)
+    seen = {see: events.pixels_of(1, parameters, shape, shape) for see in (cpu.see, see_twice)}
     levels, v2es = rng.integers(0, 256, shape, np.uint8), make_sensor(parameters, shape, 3)
     restless = v2es._replace(parameters=replace(parameters, refractory_s=0.0))
     state = init_state(v2es, levels, noise_seed=seed)
-    cpu.start(0, levels, pixels, sensor, row)
+    for pixels in seen.values():
+        cpu.start(0, levels, pixels, sensor, row)
     for _ in range(40):
         now_ns += int(rng.choice([1, 2, 7, 20])) * 1_000_000
         levels = np.where(rng.random(shape) < 0.4, rng.integers(0, 256, shape, np.uint8), levels)
         before, time_s = state, now_ns * events.NS
-        pixels.gathered[:] = 0
-        cpu.see(0, levels, time_s, pixels, sensor, row, seed)
         state, on, off = step(v2es, before, levels, time_s)
-        np.testing.assert_array_equal(pixels.gathered[0], on - off)
-        np.testing.assert_array_equal(pixels.base[0], state.base_log)
-        np.testing.assert_array_equal(pixels.last_s[0], state.last_event_s)
-        np.testing.assert_array_equal(pixels.filtered, state.filtered_log[None][: len(pixels.filtered)])
+        for see, pixels in seen.items():
+            pixels.gathered[:] = 0
+            see(0, levels, time_s, pixels, sensor, row, seed)
+            np.testing.assert_array_equal(pixels.gathered[0], on - off)
+            np.testing.assert_array_equal(pixels.base[0], state.base_log)
+            np.testing.assert_array_equal(pixels.last_s[0], state.last_event_s)
+            np.testing.assert_array_equal(pixels.filtered, state.filtered_log[None][: len(pixels.filtered)])
         rests += int(np.sum(step(restless, before, levels, time_s)[1:]) - on.sum() - off.sum())
     assert rests > 500

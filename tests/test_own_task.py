@@ -366,12 +366,14 @@ def test_a_mistake_in_flight_is_one_line(
 def test_a_mistake_in_a_task_that_it_is_derived_from_is_one_line(
     here: Path, said: Callable[[str], str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    fly_here(monkeypatch.setattr)
+    """In a process of its own, and in this one."""
     here.joinpath("post.py").write_text(f"{POST}\n    def success(self, now): return 1 // (2 - now.commands) > 9\n")
     here.joinpath("leaf.py").write_text("from post import Post\n\nclass Leaf(Post):\n    near_m: float = 1.0\n")
-    error = said(f"train {yaml_of(here, 'Post')} --set task.class=leaf.py:Leaf --trust --out run")
-    assert error.startswith(f"{here}/post.py:")
-    assert error.endswith(": Post.success: ZeroDivisionError: integer division or modulo by zero")
+    for folder in ("there", "here"):
+        error = said(f"train {yaml_of(here, 'Post')} --set task.class=leaf.py:Leaf --trust --out {folder}")
+        assert error.startswith(f"{here}/post.py:")
+        assert error.endswith(": Post.success: ZeroDivisionError: integer division or modulo by zero")
+        fly_here(monkeypatch.setattr)
 
 
 def test_a_start_where_nothing_flies_is_one_line(

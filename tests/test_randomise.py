@@ -16,6 +16,7 @@ from tests.opengl import needs_opengl
 from uavaccel.envs.conditions import Ranges
 from uavaccel.envs.kernel_batch import KernelBatch
 from uavaccel.envs.obstacle_lane import LaneTask, ObstacleLane
+from uavaccel.errors import UserError
 from uavaccel.kinematics import VelocityGoal
 from uavaccel.records import RunDirectory
 from uavaccel.sim.flight import of_velocity
@@ -157,6 +158,13 @@ def test_conditions_end_with_their_game_and_frames_between_samples_take_no_time(
     assert [len(told[seed].get("conditions", ())) for seed in (0, 1)] == [0, 2]
 
 
+def test_ranges_that_fit_together_alone_are_sampled_together() -> None:
+    ranges: dict[str, Any] = {"mass_ratio": [1.4, 1.4], "thrust_ratio": [1.2, 1.2]}
+    lane(randomise=ranges, difficulty={"thrust_ratio": 0.8}).close()
+    with pytest.raises(UserError, match=r"mass_ratio = 1\.4 must be at most 1.5 times thrust_ratio"):
+        lane(randomise={**ranges, "share": 0.5}, difficulty={"thrust_ratio": 0.8})
+
+
 def test_a_condition_may_have_a_share_of_its_own() -> None:
     for keys in ({"share": 0.1, "shares": {"wind_m_s": 0.6}}, {"shares": {"light": 0.1, "wind_m_s": 0.6}}):
         ranges, random = Ranges(wind_m_s=(3.0, 6.0), light=(0.1, 0.5), **keys), np.random.default_rng(0)
@@ -172,7 +180,9 @@ def test_a_condition_may_have_a_share_of_its_own() -> None:
 
 def test_evaluation_lanes_have_the_whole_ranges_at_once() -> None:
     environment = lane(split="evaluation", randomise={"wind_m_s": [5, 6], "widen_over_games": 100})
-    assert environment.reset(seed=0)[1]["conditions"]["wind_m_s"] >= 5
+    told = environment.reset(seed=0)[1]["conditions"]
+    assert told.pop("wind_m_s") >= 5
+    assert "wind_m_s" in environment.step(2)[4]["conditions"], "what is told is the caller's own"
 
 
 def test_a_seed_begins_the_widening_anew() -> None:

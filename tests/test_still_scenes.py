@@ -366,11 +366,12 @@ def test_looks_that_rays_do_not_have_are_refused(old: str, new: str, said: str) 
 
 
 def test_a_sun_in_a_turned_body_shines_from_there() -> None:
-    turned = f'<body euler="40 0 70">{SUN}</body>'
+    """Beside a light that is off."""
+    turned = f'<light active="false"/><body euler="40 0 70">{SUN}</body>'
     light = read_looks(own_world(turned, rest=LOOKS), (64, 36), depth=False).light
     model = own_world(turned, rest=LOOKS)
     expected = np.zeros(3)
-    mujoco.mju_rotVecQuat(expected, model.light_dir[0], model.body_quat[model.light_bodyid[0]])
+    mujoco.mju_rotVecQuat(expected, model.light_dir[1], model.body_quat[model.light_bodyid[1]])
     np.testing.assert_allclose(light[6:], -expected, atol=1e-6)
     with pytest.raises(UserError, match="a sun that stands still"):
         read_looks(own_world(POST, DRONE.replace("<camera", SUN + "<camera"), LOOKS), (64, 36), depth=False)

@@ -61,7 +61,6 @@ LANE: Table = [
     ({"randomise": {"min_gap_m": [2, 10]}}, "min_gap_m"),
     ({"randomise": {"mass_ratio": [1, 1.3], "thrust_ratio": [0.8, 1.5]}}, "mass_ratio"),
     ({"randomise": {"mass_ratio": [0.8, 1.5], "thrust_ratio": [1, 1.5]}}, "least 0.55 times thrust_ratio, 1.5, or"),
-    ({"randomise": {"mass_ratio": [1, 1.4], "share": 0.5}, "difficulty": {"thrust_ratio": 0.8}}, "mass_ratio"),
     ({"randomise": {"wnd_m_s": [0, 1]}}, "did you mean"),
     ({"randomise": {"latency_scale": [0, 1]}, "timing": "lockstep"}, "timing virtual"),
     ({"randomise": {"wind_m_s": [0, 1]}, "lane": {"obstacles": []}}, "leave lane out"),

@@ -76,8 +76,7 @@ class CudaBatch(VectorEnv[Any, Any, Any]):
         Without a seed the environments' random sequences continue.
         """
         seeds, games = seeds_of(seed, self.num_envs), self._lanes.games
-        self._unread.clear()
-        self._actions.wrong.zero_()
+        self._forget_steps()
         if not games.has_games or any(given is not None for given in seeds):
             games.seed(seeds)
             games.sample_games([options] * self.num_envs)
@@ -125,12 +124,17 @@ class CudaBatch(VectorEnv[Any, Any, Any]):
             if wrong:
                 raise UserError(f"actions of an earlier step were not in the action space: {self.action_space}")
 
+    def _forget_steps(self) -> None:
+        self._unread.clear()
+        self._actions.wrong.zero_()
+
     def get_states(self) -> list[State]:
         """Return each environment's running game for np.savez: another batch of this task continues them."""
         return self._lanes.get_states()
 
     def set_states(self, states: Sequence[Mapping[str, Any]]) -> Any:
         """Restore states that `get_states` returned, and return the environments' observations as arrays."""
+        self._forget_steps()
         return self._lanes.set_states(states)
 
     def _infos(self) -> dict[str, Any]:

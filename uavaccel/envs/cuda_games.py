@@ -287,7 +287,7 @@ class SampledAhead(LaneGames):
     def _get_state(self, lane: int, flown: int) -> State:
         (generator, options), written = self._sampled_by[lane][flown], self._written[lane]
         texts = {"drawn_by": json.dumps(generator), "options": json.dumps(options, default=plain)}
-        return {**texts, "flown": flown, "written": written, "games": self._games[lane] - (written - flown)}
+        return {**texts, "flown": flown, "games": self._games[lane] - (written - flown)}
 
     def set_states(self, states: Sequence[Mapping[str, Any]]) -> None:
         """Sample the games of the states that `get_states` returned again."""
@@ -297,10 +297,9 @@ class SampledAhead(LaneGames):
     def _drawn_again(self, lane: int, state: Mapping[str, Any]) -> list[int]:
         generator = self._generators[lane] = seeding.np_random(0)[0]
         generator.bit_generator.state = json.loads(str(state["drawn_by"]))
-        flown, written = int(state["flown"]), int(state["written"])
-        self._games[lane], self._written[lane] = int(state["games"]), flown
+        self._games[lane], self._written[lane] = int(state["games"]), int(state["flown"])
         options = json.loads(str(state["options"]))
-        return [self._draw(lane, None if number > flown else options) for number in range(flown, written)]
+        return [self._draw(lane, None if later else options) for later in range(AHEAD)]
 
     def _draw(self, lane: int, options: Mapping[str, Any] | None = None) -> int:
         """Sample a lane's next game into the host's rows, and return its row."""

@@ -8,10 +8,9 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
-from gymnasium import spaces
 
 from uavaccel.config import MOST_GAMES
-from uavaccel.envs.arrays import cast, full, joined, stacked
+from uavaccel.envs.arrays import full, joined, stacked
 from uavaccel.envs.checks import as_sampled, whole_number
 from uavaccel.envs.flight_env import FlightEnv
 from uavaccel.envs.sensors import PICTURE_SIZE
@@ -116,7 +115,7 @@ def flies_over_arrays(task: Task) -> bool:
         check_flyable(task, 1, CPU)
         course = stacked([task.sample(np.random.default_rng(game), {}) for game in range(2)])
         begun = Moments(state, list(state.position_m), Collisions(none - 1, ()), none, course)
-        goal = task.goal(cast(actions, "float64").T if isinstance(space, spaces.Box) else actions)
+        goal = task.goal(actions.T)
         now = begun._replace(course=as_sampled(task, task.advance(begun, begun), course))
         seen = task.fields(state, course) if type(task).features is Task.features else ()
         numbers = [task.reward(begun, now), task.success(now), task.failure(now), *seen]
