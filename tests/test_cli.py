@@ -441,9 +441,15 @@ TABLE = Table(("command", "effective speed-up", "source"), [("ADSC", "11.23", "m
 
 
 @pytest.mark.parametrize(("width", "columns"), [(80, 3), (28, 3), (27, 2), (18, 2), (17, 1), (3, 1)])
-def test_a_table_shows_the_columns_that_fit_uncut(width: int, columns: int) -> None:
+def test_a_table_shows_the_columns_that_fit_uncut(
+    width: int, columns: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     """Of "command", "effective" and "modelled", two characters apart."""
     assert columns_within(TABLE, width) == columns
+    monkeypatch.setattr(terminal, "console", Console(width=width, force_terminal=True))
+    terminal.show_table(TABLE)
+    shown = capsys.readouterr().out
+    assert [cell in shown for cell in ("A", "11.23", "modelled")] == [number < columns for number in range(3)]
 
 
 def test_the_time_left_is_at_the_pace_of_this_start(monkeypatch: pytest.MonkeyPatch) -> None:
