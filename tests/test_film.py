@@ -46,7 +46,7 @@ def test_what_a_frame_says(monkeypatch: pytest.MonkeyPatch) -> None:
 
     def write(page: np.ndarray, text: str, at: tuple[int, int], size: float, *_: Any, anchor: float = 0.0) -> None:
         said.append(text)
-        (width, _), _ = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, size, 1)
+        width = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, size, 1)[0][0]
         assert 0 <= at[0] - anchor * width <= page.shape[1] - width, f"{text} leaves the frame"
 
     monkeypatch.setattr(films, "write", write)
