@@ -102,7 +102,8 @@ def _artist(artist: Any) -> str:
         return _collection(artist)
     if isinstance(artist, Patch):
         corners = artist.get_patch_transform().transform(artist.get_path().vertices)
-        return f"patch {to_hex(artist.get_facecolor())}: {numbers(corners)}"
+        look = to_hex(artist.get_facecolor()) if artist.get_fill() else f"around {to_hex(artist.get_edgecolor())}"
+        return f"patch {look}: {numbers(corners)}"
     return f"image {numbers(artist.get_array())}" if hasattr(artist, "get_array") else ""
 
 

@@ -76,6 +76,7 @@ def test_benches_run_in_order_and_one_that_cannot_is_left_out(given: Callable[..
     assert kept["measurements"][1] == expected
     assert kept["manifest"]["host_check"] == {"verdict": "noisy"}
     assert kept["manifest"]["command_line"] == ["bench", "batch", "first"]
+    assert "--soak-s" in typed("bench --help"), "of the benchmarks, not of the command that calls them"
     ran.clear()
     both = ["batch 1,234.50 per s noted", "soak 1,234.50 per s noted"]
     assert told("bench --soak-s 2.5") == [line, "left out: no card", *both]

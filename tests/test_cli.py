@@ -298,7 +298,7 @@ UNKNOWN = "wall time known after the first"
 def test_a_plan_adds_up_the_games_that_are_left(left: str, games: int, jobs: int, lines: list[str]) -> None:
     times = {"a": ("wall", 1000.0), "b": ("virtual", 234.0), "c": ("virtual", 1.0)}
     cases = {name: SimpleCase(name, *time) for name, time in times.items()}
-    suite: Any = SimpleNamespace(games=lambda config, case: games, unit="games" if games == 1 else "cells")
+    suite: Any = SimpleNamespace(games=lambda config, case: games, unit="game" if games == 1 else "cell")
     request = RunRequest("own", jobs=jobs)
     plan = Plan(suite, None, list(cases.values()), [cases[name] for name in left], Path("out"), request)
     assert list(plan.lines()) == lines
@@ -441,9 +441,15 @@ TABLE = Table(("command", "effective speed-up", "source"), [("ADSC", "11.23", "m
 
 
 @pytest.mark.parametrize(("width", "columns"), [(80, 3), (28, 3), (27, 2), (18, 2), (17, 1), (3, 1)])
-def test_a_table_shows_the_columns_that_fit_uncut(width: int, columns: int) -> None:
+def test_a_table_shows_the_columns_that_fit_uncut(
+    width: int, columns: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     """Of "command", "effective" and "modelled", two characters apart."""
     assert columns_within(TABLE, width) == columns
+    monkeypatch.setattr(terminal, "console", Console(width=width, force_terminal=True))
+    terminal.show_table(TABLE)
+    shown = capsys.readouterr().out
+    assert [cell in shown for cell in ("A", "11.23", "modelled")] == [number < columns for number in range(3)]
 
 
 def test_the_time_left_is_at_the_pace_of_this_start(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -454,7 +460,7 @@ def test_the_time_left_is_at_the_pace_of_this_start(monkeypatch: pytest.MonkeyPa
     cases = [SimpleCase(f"g{number}", "virtual", 20.004 if number < 6 else 100.004) for number in range(10)]
     said = io.StringIO()
     earlier = [{"case": "g0"}, {"case": "g1"}]
-    suite: Any = SimpleNamespace(unit="cells", status=lambda rows: "")
+    suite: Any = SimpleNamespace(unit="cell", status=lambda rows: "")
     shown = terminal.Progress(suite, cases, 2, earlier, Console(file=said, width=120))
     # Of two that fly at once the first says nothing yet; then 40 s of 480 took 60 s, 60 took 120 and 80 took 120.
     for case, passed_s in (("g2", 60.1), ("g3", 0.0), ("g4", 60.1), ("g5", 0.0)):

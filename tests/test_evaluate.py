@@ -405,6 +405,8 @@ def test_measured_flights_are_filmed_by_the_events_of_messages(monkeypatch: pyte
     monkeypatch.setattr(evaluate_again, "origin_of", lambda agent: None)  # no baseline
     with pytest.raises(UserError, match="timing = 'wall': of state there is no film; take virtual or lockstep"):
         flight_of_agent(config, 0)
+    flight_of_agent(configured("evaluate", agent="straight", timing="virtual"), 0)
+    assert made[2:] == ["state"], "a simulated clock waits for its own pictures"
 
 
 # --- reports: tests/test_reports.py has their numbers -----------------------------------------------------------

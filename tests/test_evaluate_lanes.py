@@ -16,6 +16,7 @@ import torch as th
 from tests import made_runs as made
 from tests.host_kernels import ON_A_GPU, host_kernels  # noqa: F401 - a fixture
 from tests.opengl import needs_opengl
+from tests.processes import descendants, left_after
 from tests.running import configured, fly_into
 from uavaccel.errors import UsageError, UserError
 from uavaccel.records import RunDirectory
@@ -62,6 +63,15 @@ def test_rows_in_processes_are_alike_up_to_their_death(tmp_path: Path, monkeypat
     assert [row["lane"] for row in run.rows()] == [*range(7, 7 + flown)]
     assert len({tuple(row["actions"]) for row in run.rows()}) > 1
     assert all(entry["wall_s"] >= entry["host_wall_s"] for entry in run.timings())
+
+
+@pytest.mark.slow
+def test_processes_end_where_their_agent_cannot_be_loaded() -> None:
+    config = configured("evaluate", "task.observation=state", "environments=2", agent="straight")
+    before = descendants(os.getpid())
+    with pytest.raises(UserError, match=r"^nowhere: holds no policy"):
+        GamesInBatch(config.model_copy(update={"agent": "nowhere"}), [0, 1])
+    assert not left_after(descendants(os.getpid()) - before, 5.0)
 
 
 @pytest.mark.slow

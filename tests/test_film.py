@@ -43,7 +43,13 @@ def flown(samples: int = SAMPLES, colour: bool = False) -> Film:
 
 def test_what_a_frame_says(monkeypatch: pytest.MonkeyPatch) -> None:
     said: list[str] = []
-    monkeypatch.setattr(films, "write", lambda page, text, *_, **__: said.append(text))
+
+    def write(page: np.ndarray, text: str, at: tuple[int, int], size: float, *_: Any, anchor: float = 0.0) -> None:
+        said.append(text)
+        width = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, size, 1)[0][0]
+        assert 0 <= at[0] - anchor * width <= page.shape[1] - width, f"{text} leaves the frame"
+
+    monkeypatch.setattr(films, "write", write)
     list(frames(flown(samples=3)))
     assert said[0] == "A title"
     # Two steps of 0.33 s in two twelfths of a second.

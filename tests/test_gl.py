@@ -157,9 +157,10 @@ def test_a_missing_or_wrong_opengl_is_told_in_a_line(monkeypatch: pytest.MonkeyP
 
 
 def test_a_probe_that_crashes_is_no_backend(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(gl, "_PROBE", "import os; os.abort()")
-    gl._first_that_works.cache_clear()
-    assert gl._first_that_works() is None
+    for crashes, backend in (("True", None), ("os.environ['MUJOCO_GL'] != 'osmesa'", "osmesa")):
+        monkeypatch.setattr(gl, "_PROBE", f"import os; os.abort() if {crashes} else print('a renderer')")
+        gl._first_that_works.cache_clear()
+        assert getattr(gl._first_that_works(), "backend", None) == backend
     gl._first_that_works.cache_clear()
 
 

@@ -21,7 +21,7 @@ from uavaccel.suites.dp1 import Dp1, Dp1Config
 from uavaccel.suites.evaluate import Evaluation
 from uavaccel.suites.grid import Ablation, Point, PolicyGrid, Robustness, Sweep, band_figure
 from uavaccel.suites.runner import cases_of
-from uavaccel.suites.session import RunRequest, reading
+from uavaccel.suites.session import RunRequest, planned, reading
 
 pytestmark = pytest.mark.usefixtures("whole_messages")
 BASE = "base={profile: airsim, command: [adsc], clock_speed: [1, 10], t_move_s: [0.2], rounds: [2], games: 2, reference_games: 2}"  # noqa: E501
@@ -64,6 +64,19 @@ def test_lanes_latencies_and_parts_are_found_beside_their_yaml(tmp_path: Path, m
             assert config.evaluation.resolve(0)[1].task.latency.scale == there
         for name in ("lane.yaml", "slow.yaml"):
             (tmp_path / name).unlink(missing_ok=True)
+
+
+@pytest.mark.slow
+def test_processes_find_what_is_beside_the_yaml(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "own").mkdir()
+    (tmp_path / "own/slow.yaml").write_text("latency: {scale: 7}\n")
+    evaluation = "evaluation: {experiment: evaluate, keys: {task.latency: slow.yaml, task.max_commands: 1}}"
+    sweep = f"suite: sweep\nagent: straight\ngames: 1\nsweep: {{wind: [1]}}\n{evaluation}\n"
+    (tmp_path / "own/sweep.yaml").write_text(sweep)
+    monkeypatch.chdir(tmp_path)
+    with planned(RunRequest("own/sweep.yaml", jobs=2, out=Path("run"))) as plan:
+        plan.fly(run := plan.begin(print), lambda *_: None)
+    assert [row["case"] for row in run.rows()] == ["as-trained", "wind-1"]
 
 
 SHIPPED = [experiment("ablation.yaml"), *sorted(experiment("ablations").glob("*.yaml"))]

@@ -184,10 +184,12 @@ def test_without_trainings_their_claims_are_pending(report: Report) -> None:
     run = RunDirectory.create(report.run.path.parent / "without", config("dp1-airsim"), {})
     run.append_row({"suite": "paper", "case": "dp1-airsim", "cells": 1})
     shutil.copytree(report.run.path / "parts", run.path / "parts")
-    summary = Paper().report(run).summary
+    (written := Paper().report(run)).write()
+    summary, texts = written.summary, [(each.run.path / "report.md").read_text() for each in (report, written)]
     lacking = {row["claim"]: row["airsim"]["verdict"] for row in summary["claims"]}
     assert (lacking["adsc_collapses_at_5x"], lacking["images_at_5x"]) == ("pending", "not flown")
     assert summary["phases"] == []
+    assert ["Hours of TCSC's training" in text for text in texts] == [True, False]
 
 
 def test_trainings_come_from_a_run_of_rl_alone(report: Report) -> None:

@@ -322,8 +322,11 @@ def test_a_single_episode_changes_no_places(tmp_path: Path) -> None:
     (ranking,) = report.summary["rankings"]
     assert (ranking["holds_to"], ranking["kendall_tau"]) == (5, [1.0, -1.0])
     assert {cell["return_low"] for cell in report.summary["cells"]} == {None}
+    (at_one_clock := made.realtime(tmp_path / "one", *rows[:2])).write()
     report.write()
-    assert "| 2 | - | - |" in (tmp_path / "run" / "report.md").read_text()
+    page, other = ((each.run.path / "report.md").read_text() for each in (report, at_one_clock))
+    assert "| 2 | - | - |" in page
+    assert ["How fast may one simulate" in text for text in (page, other)] == [True, False]
 
 
 def test_equal_agents_are_told_to_be_equal(tmp_path: Path) -> None:

@@ -95,7 +95,7 @@ class Progress:
             self._console.print(self._text(), markup=False)
 
     def _text(self) -> str:
-        from uavaccel.draw.page import in_words
+        from uavaccel.draw.page import counted, in_words
         from uavaccel.units import NS_PER_S
 
         wall_s = max((self._clock.now_ns() - self._start_ns) / NS_PER_S, 1e-9)
@@ -105,7 +105,7 @@ class Progress:
         if not isinstance(status, str):
             raise UserError(f"{self._suite.name}: status returned a {type(status).__name__}, not a text")
         return (
-            f"{len(self._rows)}/{self._games} {self._suite.unit}, {status}{', ' * bool(status)}"
+            f"{len(self._rows)}/{counted(self._games, self._suite.unit)}, {status}{', ' * bool(status)}"
             f"{self._flown_s / wall_s:.0f} simulated s per wall s, {left}"
         )
 

@@ -90,8 +90,7 @@ class Certificate:
         head = f"{policy['name']} in {said['environment']['id']}"
         hashes = {"policy": policy["sha256"], **({"times": by["sha256"]} if by else {}), "rows": said["rows_sha256"]}
         short = ", ".join(f"{name} {'of unknown hash' if of is None else of[:12]}" for name, of in hashes.items())
-        episodes = "episode" if said["episodes"] == 1 else "episodes"
-        tail = f"{said['episodes']} {episodes} a latency from seed {said['seed']}; {short}"
+        tail = f"{said['episodes']} episode{'s' * (said['episodes'] != 1)} a latency from seed {said['seed']}; {short}"
         if self.failed:
             return f"{head}: no certificate: {self.failed} of {len(self.rows)} episodes failed; {tail}"
         if holds["latency"] is None:

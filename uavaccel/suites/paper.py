@@ -88,7 +88,7 @@ class Paper(SuiteOfRuns[PaperConfig, SimpleCase]):
     """`uavaccel run paper`. Its report is made of the reports of its parts."""
 
     name = "paper"
-    unit = "parts"
+    unit = "part"
     config = PaperConfig
     row = PaperRow
 

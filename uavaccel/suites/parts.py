@@ -72,7 +72,7 @@ class SuiteOfRuns(Suite[ConfigType, CaseType]):
     """A suite whose cases are runs of other suites, its parts."""
 
     batch = 1
-    unit = "cells"
+    unit = "cell"
 
     @abstractmethod
     def runs(self, config: ConfigType, case: CaseType) -> Sequence[Run]:

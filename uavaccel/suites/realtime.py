@@ -279,7 +279,7 @@ class Realtime(Suite[RealtimeConfig, Training]):
     """`uavaccel run realtime`."""
 
     name = "realtime"
-    unit = "cells"
+    unit = "cell"
     grows = ("seeds", "cells")
     config = RealtimeConfig
     row = Annotated[TrainingRow | EvaluationRow, Discriminator("kind")]

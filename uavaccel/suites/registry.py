@@ -86,7 +86,7 @@ def experiments_in(config: Config) -> dict[str, Plain]:
             if isinstance(name := value.get("experiment"), str) and name not in found:
                 with suppress(UserError):
                     mapping, _ = read_mapping(name)
-                    found[name] = sha256(json.dumps(mapping, sort_keys=True, default=str).encode()).hexdigest()
+                    found[name] = sha256(json.dumps(mapping, sort_keys=True).encode()).hexdigest()
                     look(mapping)
             value = [*value.values()]
         for each in value if isinstance(value, list | tuple) else ():

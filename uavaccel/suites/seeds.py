@@ -93,7 +93,7 @@ class Seeds(SuiteOfRuns[SeedsConfig, SeedCase]):
     name = "seeds"
     config = SeedsConfig
     row = SeedRow
-    unit = "trainings"
+    unit = "training"
     training = Training()
 
     def check(self, config: SeedsConfig) -> None:

@@ -200,8 +200,8 @@ class Plan:
             by_clock = ", ".join(f"{count} {timing}" for timing, count in clocks.items())
             games = sum(self.suite.games(self.config, case) for case in self.left)
             what = counted(f"{games:,}", "game")
-            if self.suite.unit != "games":
-                what += f" in {counted(len(self.left), self._noun)}"
+            if self.suite.unit != "game":
+                what += f" in {counted(len(self.left), self.suite.unit)}"
             sources = " and ".join(sorted({timing_provenance(timing) for timing in clocks}))
             simulated_s = sum(case.simulated_s() for case in self.left)
             time = f"{simulated_s:,.0f} simulated s, wall time known after the first"
@@ -213,19 +213,14 @@ class Plan:
         alone = sum(case.timing == "wall" for case in self.left)
         if alone and (self.request.jobs > 1 or self.request.engine != LOKY):
             fly = "flies" if alone == 1 else "fly"
-            yield f"{counted(alone, self._noun)} on the wall clock {fly} alone, in this process, one by one"
-
-    @property
-    def _noun(self) -> str:
-        """What one of the cases is called."""
-        return self.suite.unit.removesuffix("s")
+            yield f"{counted(alone, self.suite.unit)} on the wall clock {fly} alone, in this process, one by one"
 
     def begin(self, say: Callable[[str], object]) -> RunDirectory:
         """Return the run's folder, new or as it was left; `say` is told of renderer, machine, and what has changed."""
         manifest = manifest_of(self.suite, self.config, say)
         run = start_run(self.suite, self.config, self.out, manifest, self.request.resume)
         if "resumed" in run.manifest():
-            for line in resumption_notes(run, counted(len(self.cases), self._noun), manifest):
+            for line in resumption_notes(run, counted(len(self.cases), self.suite.unit), manifest):
                 say(line)
         return run
 

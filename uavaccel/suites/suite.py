@@ -93,7 +93,7 @@ class Suite(ABC, Generic[ConfigType, CaseType]):
     """The reason why its games must be flown one after another in one process; empty if there is none."""
     batch: ClassVar[int] = 4
     """Number of games that a worker process takes at once; 1 where each takes minutes."""
-    unit: ClassVar[str] = "games"
+    unit: ClassVar[str] = "game"
     """What its cases are called: another word where one is several games."""
     grows: ClassVar[tuple[str, ...]] = ()
     """Keys whose numbers may grow when a run is resumed, without a change to its cases."""
