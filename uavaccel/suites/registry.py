@@ -86,7 +86,8 @@ def experiments_in(config: Config) -> dict[str, Plain]:
             if isinstance(name := value.get("experiment"), str) and name not in found:
                 with suppress(UserError):
                     mapping, _ = read_mapping(name)
-                    found[name] = sha256(json.dumps(mapping, sort_keys=True).encode()).hexdigest()
+                    sortable = json.loads(json.dumps(mapping))  # numbers and texts among keys are not
+                    found[name] = sha256(json.dumps(sortable, sort_keys=True).encode()).hexdigest()
                     look(mapping)
             value = [*value.values()]
         for each in value if isinstance(value, list | tuple) else ():
