@@ -207,8 +207,14 @@ def test_its_file_alone_is_a_training(here: Path) -> None:
     "def advance(self, before, now): return {**now.course, 'more': 1.0}",
     "def advance(self, before, now): return {'aim_m': now.course['aim_m']}",
     "def advance(self, before, now): return {**now.course, 'whole': now.course['whole'] + 0.5}",
+    "def reward(self, before, now): return 1.0 * (now.collision is None)",
+    "def reward(self, before, now): return 0.5 * ((now.commands > 3) + (now.commands > 5))",
+    "def info(self, now): return {'hit': now.collision}",
+    """count: int = 1
+    def sample_conditions(self, random, games): return {'count': 2}
+    def with_conditions(self, conditions): return self.model_copy(update=conditions)""",
 ])  # fmt: skip
-def test_a_task_that_takes_no_arrays_flies_in_mujoco_alone(function: str, here: Path) -> None:
+def test_a_task_that_is_another_over_arrays_flies_in_mujoco_alone(function: str, here: Path) -> None:
     sample = "def sample(self, random, options): return {'aim_m': [1.0, 2.0], 'whole': 1}"
     (here / "mine.py").write_text(f"{POST}\n    {sample}\n")
     with reading(RunRequest("mine.py")) as (_, config):
