@@ -15,9 +15,11 @@ from tests.conftest import forget_own_code
 from tests.host_kernels import host_kernels  # noqa: F401 - a fixture
 from tests.learning import fly_here
 from tests.running import fly_into
+from uavaccel.own_code import trusting
 from uavaccel.rl.double_dqn import DeviceDQN
 from uavaccel.rl.learner import Game
 from uavaccel.rl.policy import weights_sha256
+from uavaccel.suites.parts import Part
 from uavaccel.suites.registry import own_folder
 from uavaccel.suites.runner import run_suite, start_run
 from uavaccel.suites.session import RunRequest, reading, schema_of
@@ -267,6 +269,13 @@ def test_its_schema_has_its_keys(here: Path) -> None:
 ])  # fmt: skip
 def test_an_unknown_key_is_looked_for_at_every_level(key: str, hint: str, said: Callable[[str], str]) -> None:
     assert said(f"train --dry-run --set {key}=1").endswith(hint)
+
+
+def test_a_part_has_keys_of_the_task_that_it_names(here: Path) -> None:
+    (here / "named.yaml").write_text("{suite: train, task: post.py:Post}")
+    with trusting(beside=here):
+        _, config = Part(experiment="named.yaml", keys={"task.near_m": 0.5}).resolve(3)
+    assert (config.env_id, config.task.near_m, config.seed) == ("post.py:Post", 0.5, 3)
 
 
 def test_unknown_keys_of_ones_own_task_are_found_too(here: Path, said: Callable[[str], str]) -> None:
