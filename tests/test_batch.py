@@ -15,6 +15,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
+from gymnasium import spaces
 from gymnasium.vector import AutoresetMode
 
 import uavaccel.envs
@@ -29,6 +30,7 @@ from uavaccel.envs.kernel_batch import KernelBatch
 from uavaccel.envs.obstacle_lane import ObstacleLane
 from uavaccel.envs.task import Task
 from uavaccel.errors import UserError
+from uavaccel.kinematics import VelocityGoal
 from uavaccel.sim.camera import gl
 
 NAME = "uavaccel/ObstacleLane-v0"
@@ -164,6 +166,8 @@ def test_a_course_that_is_not_as_the_others_is_refused(first: Any, later: Any) -
     ({"with_conditions": lambda of, _: of.model_copy(update={"t_move_s": 0.4})}, "with_conditions: changes t_move_s"),
     ({"success": lambda _, now: now.collision is not None}, "success: says False of a game, and True of the same"),
     ({"fields": lambda _, state, course: [(state.time_ns > 0) + (state.time_ns > 2)]}, "fields: says [2] of a game"),
+    ({"action_space": lambda _: spaces.Discrete(3), "goal": lambda _, a: VelocityGoal((1 * ((a > 0) + (a > 1)), 0, 0))},
+     "goal: says [(2, 0, 0), None, 0.0, True] of a game, and [[1, 0, 0]"),
     ({"info": lambda _, now: {"velocity": np.array(now.state.linear_velocity_m_s)}}, "info: says {'velocity': array("),
 ])  # fmt: skip
 def test_a_task_of_which_arrays_tell_otherwise_is_refused(parts: dict[str, Any], line: str) -> None:

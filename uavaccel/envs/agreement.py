@@ -7,16 +7,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import astuple
 from numbers import Real
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
+from gymnasium import spaces
 
 from uavaccel.envs.arrays import each_of, stacked
 from uavaccel.envs.checks import Functions
 from uavaccel.envs.task import Task
 from uavaccel.envs.values import Collisions, Course, Moment, Moments
-from uavaccel.kinematics import Kinematics
+from uavaccel.kinematics import FlightGoal, Kinematics
 
 GAMES = 16
 OBJECTS = ("obstacle_00", "ground")
@@ -35,6 +37,10 @@ def check_agreement(task: Task) -> None:
     except Exception:
         return
     (before, all_before), (now, all_now) = (_moments(random, courses, in_arrays) for _ in range(2))
+    space = task.action_space()
+    if isinstance(space, spaces.Discrete):
+        actions = space.start + np.arange(GAMES) % space.n
+        _compare(task, "goal", [(int(action),) for action in actions], (actions,))
     seen = [(each.state, each.course) for each in now]
     _compare(task, "fields", seen, (all_now.state, all_now.course))
     if (later := _compare(task, "advance", list(zip(before, now, strict=True)), (all_before, all_now))) is None:
@@ -67,7 +73,7 @@ def _compare(task: Task, name: str, alone: Sequence[tuple[Any, ...]], together: 
     function = getattr(task, name)
     try:
         with np.errstate(all="ignore"):
-            said, all_said = [function(*each) for each in alone], function(*together)
+            said, all_said = [_listed(function(*each)) for each in alone], _listed(function(*together))
             of_all = _each_of(list(all_said) if name == "fields" else all_said, len(alone))
             differing = [pair for pair in zip(said, of_all, strict=True) if not _same(*pair)]
     except Exception:
@@ -77,6 +83,10 @@ def _compare(task: Task, name: str, alone: Sequence[tuple[Any, ...]], together: 
         hint = "write now.free for `is None`, and 1 * a + b for the sum of two truth values"
         raise Functions(task).wrong(name, f"{what}: {hint}; or use simulator = mujoco")
     return said
+
+
+def _listed(said: Any) -> Any:
+    return list(astuple(said)) if isinstance(said, get_args(FlightGoal)) else said
 
 
 def _each_of(said: Any, count: int) -> list[Any]:
