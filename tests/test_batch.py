@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -14,6 +15,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
+from gymnasium import spaces
 from gymnasium.vector import AutoresetMode
 
 import uavaccel.envs
@@ -28,6 +30,7 @@ from uavaccel.envs.kernel_batch import KernelBatch
 from uavaccel.envs.obstacle_lane import ObstacleLane
 from uavaccel.envs.task import Task
 from uavaccel.errors import UserError
+from uavaccel.kinematics import VelocityGoal
 from uavaccel.sim.camera import gl
 
 NAME = "uavaccel/ObstacleLane-v0"
@@ -156,6 +159,22 @@ def test_a_course_that_is_not_as_the_others_is_refused(first: Any, later: Any) -
     refused = r"Other\.sample: over arrays, the courses of all games must have the same items, .* simulator = mujoco$"
     with pytest.raises(UserError, match=refused):
         fly()
+
+
+@pytest.mark.parametrize(("parts", "line"), [
+    ({"with_conditions": lambda of, _: of.model_copy(update={"max_commands": 2})}, "with_conditions: changes max_com"),
+    ({"with_conditions": lambda of, _: of.model_copy(update={"t_move_s": 0.4})}, "with_conditions: changes t_move_s"),
+    ({"success": lambda _, now: now.collision is not None}, "success: says False of a game, and True of the same"),
+    ({"fields": lambda _, state, course: [(state.time_ns > 0) + (state.time_ns > 2)]}, "fields: says [2] of a game"),
+    ({"action_space": lambda _: spaces.Discrete(3), "goal": lambda _, a: VelocityGoal((1 * ((a > 0) + (a > 1)), 0, 0))},
+     "goal: says [(2, 0, 0), None, 0.0, True] of a game, and [[1, 0, 0]"),
+    ({"info": lambda _, now: {"velocity": np.array(now.state.linear_velocity_m_s)}}, "info: says {'velocity': array("),
+])  # fmt: skip
+def test_a_task_of_which_arrays_tell_otherwise_is_refused(parts: dict[str, Any], line: str) -> None:
+    other = type("Other", (PairTask,), {"__module__": __name__, **parts})
+    refused = rf"Other\.{re.escape(line)}.* or use simulator = mujoco$"
+    with pytest.raises(UserError, match=refused), closing(uavaccel.make_vec(other, 2, simulator="kernels")) as batch:
+        batch.reset(seed=0)
 
 
 @needs_opengl

@@ -178,12 +178,18 @@ def test_a_policy_of_ones_own_flies_where_it_can(tmp_path: Path, monkeypatch: py
         ("flights={x: {trainings: {naive: {experiment: dp1}}}}", "flights.x.trainings.naive: dp1 is of dp1, not of"),
         ("flights={pendulum: {trainings: {naive: {experiment: hover_ppo}}}}", "flights.pendulum: one of the environ"),
         ("cells=[hopper-*]", "cells: none is called hopper-"),
+        ("environments={}", "needs at least one of environments or flights"),
     ],
 )
 def test_what_does_not_fit_is_one_line(override: str, said: str) -> None:
     with pytest.raises(UserError, match=said) as caught:
         Realtime().check(configured("benchmark_smoke", *NO_FLIGHTS, override))
     assert "\n" not in str(caught.value)
+
+
+def test_flights_may_be_all_that_is_flown() -> None:
+    config = configured("benchmark_smoke", "environments={}")
+    assert {case.environment for case in Realtime().cases(config)} == {"hover"}
 
 
 def test_of_very_many_cells_some_are_named() -> None:

@@ -15,9 +15,11 @@ from tests.conftest import forget_own_code
 from tests.host_kernels import host_kernels  # noqa: F401 - a fixture
 from tests.learning import fly_here
 from tests.running import fly_into
+from uavaccel.own_code import trusting
 from uavaccel.rl.double_dqn import DeviceDQN
 from uavaccel.rl.learner import Game
 from uavaccel.rl.policy import weights_sha256
+from uavaccel.suites.parts import Part
 from uavaccel.suites.registry import own_folder
 from uavaccel.suites.runner import run_suite, start_run
 from uavaccel.suites.session import RunRequest, reading, schema_of
@@ -207,8 +209,14 @@ def test_its_file_alone_is_a_training(here: Path) -> None:
     "def advance(self, before, now): return {**now.course, 'more': 1.0}",
     "def advance(self, before, now): return {'aim_m': now.course['aim_m']}",
     "def advance(self, before, now): return {**now.course, 'whole': now.course['whole'] + 0.5}",
+    "def reward(self, before, now): return 1.0 * (now.collision is None)",
+    "def reward(self, before, now): return 0.5 * ((now.commands > 3) + (now.commands > 5))",
+    "def info(self, now): return {'hit': now.collision}",
+    """count: int = 1
+    def sample_conditions(self, random, games): return {'count': 2}
+    def with_conditions(self, conditions): return self.model_copy(update=conditions)""",
 ])  # fmt: skip
-def test_a_task_that_takes_no_arrays_flies_in_mujoco_alone(function: str, here: Path) -> None:
+def test_a_task_that_is_another_over_arrays_flies_in_mujoco_alone(function: str, here: Path) -> None:
     sample = "def sample(self, random, options): return {'aim_m': [1.0, 2.0], 'whole': 1}"
     (here / "mine.py").write_text(f"{POST}\n    {sample}\n")
     with reading(RunRequest("mine.py")) as (_, config):
@@ -261,6 +269,13 @@ def test_its_schema_has_its_keys(here: Path) -> None:
 ])  # fmt: skip
 def test_an_unknown_key_is_looked_for_at_every_level(key: str, hint: str, said: Callable[[str], str]) -> None:
     assert said(f"train --dry-run --set {key}=1").endswith(hint)
+
+
+def test_a_part_has_keys_of_the_task_that_it_names(here: Path) -> None:
+    (here / "named.yaml").write_text("{suite: train, task: post.py:Post}")
+    with trusting(beside=here):
+        _, config = Part(experiment="named.yaml", keys={"task.near_m": 0.5}).resolve(3)
+    assert (config.env_id, config.task.near_m, config.seed) == ("post.py:Post", 0.5, 3)
 
 
 def test_unknown_keys_of_ones_own_task_are_found_too(here: Path, said: Callable[[str], str]) -> None:

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from contextlib import closing
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from pydantic import model_validator
 
 from tests.learning import fly_here, tiny_config, train_into
 from tests.opengl import needs_opengl
@@ -183,6 +184,21 @@ def test_evaluation_lanes_have_the_whole_ranges_at_once() -> None:
     told = environment.reset(seed=0)[1]["conditions"]
     assert told.pop("wind_m_s") >= 5
     assert "wind_m_s" in environment.step(2)[4]["conditions"], "what is told is the caller's own"
+
+
+def test_a_task_with_keys_of_its_own_is_randomised_within_them() -> None:
+    class Slow(LaneTask):
+        fastest_m_s: float = 3.0
+
+        @model_validator(mode="after")
+        def _is_slow(self) -> Self:
+            if self.speed_m_s > self.fastest_m_s:
+                raise ValueError("too fast")
+            return self
+
+    assert Slow(randomise=Ranges(speed_m_s=(1.0, 3.0))).sample_conditions(np.random.default_rng(0), 0)
+    with pytest.raises(UserError, match=r"randomise: .*too fast"):
+        Slow(randomise=Ranges(speed_m_s=(1.0, 4.0)))
 
 
 def test_a_seed_begins_the_widening_anew() -> None:

@@ -68,7 +68,7 @@ def within(space: spaces.Space[Action], action: Action) -> Action:
             if (abs(clipped - given) <= ROUNDING).all():  # not so for NaN
                 return clipped
     elif space.contains(action):
-        return int(action) if isinstance(action, bool) else action  # which as an index is a mask
+        return int(action) if isinstance(space, spaces.Discrete) else action  # whatever kind of whole number it is
     raise UserError(f"action {action!r} is not in the action space: {space}")
 
 

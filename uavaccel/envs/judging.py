@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from gymnasium import spaces
 
+from uavaccel.envs.agreement import check_agreement
 from uavaccel.envs.arrays import cast, full, joined, mapped, namespace_of, picture_of
 from uavaccel.envs.checks import Functions, as_sampled, check_features, check_reward
 from uavaccel.envs.sensors import NO_ACTION
@@ -70,7 +71,7 @@ class Judge:
     """A task's functions over many games.
 
     `since_ns` is the wall time for which ADSC flies on before a decision. Raises UserError for a task whose `goal`
-    takes no arrays.
+    takes no arrays, and as `check_agreement`.
     """
 
     def __init__(self, task: Task, surroundings: Surroundings, tick_ns: int, since_ns: int = 0) -> None:
@@ -84,6 +85,7 @@ class Judge:
         any_goal = self._goal(np.zeros((2, *(space.shape or ())), space.dtype), {})
         self.modes = np.array(_modes_of(any_goal))
         """What the four numbers of all goals are: the autopilot's modes of xy, z and yaw."""
+        check_agreement(task)
 
     # --- before a command -----------------------------------------------------------------------
 

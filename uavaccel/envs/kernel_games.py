@@ -17,7 +17,7 @@ from uavaccel.envs.arrays import named_leaves, rank, stacked
 from uavaccel.envs.checks import Functions, known_options, layout_of
 from uavaccel.envs.flight_env import sample_game
 from uavaccel.envs.sensors import PICTURE_SIZE
-from uavaccel.envs.simulators import clutter_of, kind_of, latency_of, profile_of, speed_of
+from uavaccel.envs.simulators import check_conditions, clutter_of, kind_of, latency_of, profile_of, speed_of
 from uavaccel.envs.task import AnyLayout, Task
 from uavaccel.envs.values import CONDITIONS, Course
 from uavaccel.kernels import timeline
@@ -74,6 +74,7 @@ class GameMaker:
         known = known_options(options, self.task.reset_options)
         course, latencies = sample_game(self.task, random, games, known)
         task = self.task.with_conditions(course.get(CONDITIONS, {}))
+        check_conditions(self.task, task)
         return Drawn(course, task, layout_of(task, course), latencies)
 
     def courses(self, games: Sequence[Drawn], kept: Mapping[str, Any] | None = None) -> dict[str, Any]:
@@ -133,8 +134,8 @@ def keys_of(task: Task, games: Sequence[Drawn]) -> dict[str, NDArray[np.float64]
     """Return the task's numbers under the conditions of n games, arrays (n,), for `Task.goal`; {} if it has none."""
     if type(task).with_conditions is Task.with_conditions:
         return {}
-    names = [name for name in type(task).model_fields if isinstance(getattr(task, name), float)]
-    return {name: np.array([getattr(game.task, name) for game in games]) for name in names}
+    names = [name for name, key in task if isinstance(key, float)]
+    return {name: np.array([getattr(game.task, name) for game in games], float) for name in names}
 
 
 class Slices(NamedTuple):

@@ -129,7 +129,7 @@ class LaneTask(Task):
             extreme = keys_of(ends)
             for part in ("difficulty", "latency"):
                 extreme[part] = keys[part] | extreme[part]
-            validate(LaneTask, keys | extreme, "randomise")
+            validate(type(self), {**keys, **extreme, "randomise": None}, "randomise")
         return self
 
     def context_planes(self) -> ContextPlanes | None:

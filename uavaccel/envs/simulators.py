@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 
-from uavaccel.config import MOST_GAMES
+from uavaccel.config import MOST_GAMES, Config
+from uavaccel.envs.agreement import check_agreement
 from uavaccel.envs.arrays import full, joined, stacked
-from uavaccel.envs.checks import as_sampled, whole_number
+from uavaccel.envs.checks import Functions, as_sampled, whole_number
 from uavaccel.envs.flight_env import FlightEnv
 from uavaccel.envs.sensors import PICTURE_SIZE
 from uavaccel.envs.task import Task
@@ -32,6 +33,9 @@ if TYPE_CHECKING:  # which compiles
 MOST_DIGITS = 1_000_000
 
 KINDS = {"state": STATE, "dvs": DVS, "colour": COLOUR, "depth": DEPTH}
+
+SHARED = ("clock_speed", "dvs_rate_hz", "image_processing_s", "mediation", "t_move_s", "t_sample_s", "t_th_wall_s")
+"""Keys in which the games of a batch do not differ, though they are fractions or mappings."""
 
 Simulator = Literal["mujoco", "kernels"]
 """The exact simulator, with MuJoCo and OpenGL, or lanes over arrays."""
@@ -76,6 +80,16 @@ def check_flyable(task: Task, lanes: int, device: str) -> None:
         )
 
 
+def check_conditions(task: Task, under: Task) -> None:
+    """Raise UserError for a task under a game's conditions that differs in a key which all games over arrays share."""
+    for name, key in task:
+        if (now := getattr(under, name)) is key or now == key:
+            continue
+        if name in SHARED or not isinstance(key, float | Config):
+            what = f"changes {name}: over arrays games differ in keys of type float, but not in {', '.join(SHARED)}"
+            raise Functions(task).wrong("with_conditions", f"{what}; or use simulator = mujoco")
+
+
 def kind_of(task: Task) -> int:
     """Return what lanes observe: STATE, DVS, COLOUR or DEPTH."""
     return STATE if task.blank_images else KINDS[task.observation]
@@ -113,6 +127,8 @@ def flies_over_arrays(task: Task) -> bool:
     state = Kinematics(none, *([like] * size for size in (3, 4, 3, 3, 3, 3)))  # type: ignore[arg-type]
     try:
         check_flyable(task, 1, CPU)
+        check_agreement(task)
+        check_conditions(task, task.with_conditions(task.sample_conditions(np.random.default_rng(0), 0)))
         course = stacked([task.sample(np.random.default_rng(game), {}) for game in range(2)])
         begun = Moments(state, list(state.position_m), Collisions(none - 1, ()), none, course)
         goal = task.goal(actions.T)

@@ -102,6 +102,9 @@ class Collisions:
     def __ne__(self, name: object) -> Number:
         return ~(self == name)
 
+    def __bool__(self) -> bool:
+        return bool(self == None)  # noqa: E711 - which is refused
+
 
 class Moments(NamedTuple):
     """The state of n games: where `Moment` has a number, a NumPy array or a PyTorch tensor (n,)."""

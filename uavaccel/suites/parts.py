@@ -24,7 +24,16 @@ from uavaccel.forms import ArrayForm
 from uavaccel.own_code import file_beside, trusting
 from uavaccel.records import RunDirectory
 from uavaccel.suites.experiment import Row
-from uavaccel.suites.registry import configuration, find_suite, folder_beside, is_file, merged, open_run, read_mapping
+from uavaccel.suites.registry import (
+    configuration,
+    find_suite,
+    folder_beside,
+    is_file,
+    merged,
+    open_run,
+    read_mapping,
+    with_task,
+)
 from uavaccel.suites.report import Report
 from uavaccel.suites.runner import run_suite, start_run
 from uavaccel.suites.suite import AnySuite, CaseType, ConfigType, Suite
@@ -65,7 +74,8 @@ class Part(Config):
         beside = folder_beside(self.experiment) if is_file(self.experiment) else None
         with trusting(beside=beside, modules=()):  # no code of it
             suite = find_suite(mapping.get("suite"), source)
-            return suite, configuration(suite, merged(mapping, {"seed": seed, **self.keys}), f"part {source}")
+            keys = merged(with_task(suite, mapping), {"seed": seed, **self.keys})
+            return suite, configuration(suite, keys, f"part {source}")
 
 
 class SuiteOfRuns(Suite[ConfigType, CaseType]):

@@ -141,7 +141,7 @@ class RealtimeConfig(Experiment):
     """virtual: the wall clock is simulated, and flights repeat; wall: measured, in a process of its own."""
     flights: dict[str, FlightBlock] = Field(default_factory=dict)
     """Tasks of this package that are learned by `uavaccel train`, by the names that rows and figures have for them."""
-    environments: Annotated[dict[str, EnvironmentBlock], Field(min_length=1)]
+    environments: dict[str, EnvironmentBlock] = Field(default_factory=dict)
     """What else is flown, by the names that rows and figures have for it."""
     agents: Annotated[dict[str, AgentBlock], Field(min_length=1)]
     """Who flies it, by the names that rows and figures have for them."""
@@ -161,6 +161,8 @@ class RealtimeConfig(Experiment):
 
     @model_validator(mode="after")
     def _flights_fit(self) -> RealtimeConfig:
+        if not (self.flights or self.environments):
+            raise ValueError("needs at least one of environments or flights")
         if self.flights and self.timing == "wall":
             raise ValueError("flights need timing virtual: their clock is simulated")
         if both := sorted(self.flights.keys() & self.environments.keys()):

@@ -133,13 +133,18 @@ def configuration(
 
     Raises UserError, which names `source` or what has `given` a key, as `validate` does.
     """
-    if "env_id" in suite.config.model_fields:
-        from uavaccel.rl.config import with_env_id  # loads Gymnasium
-
-        mapping = with_env_id(mapping)
-    config = validate(suite.config, suite.complete(mapping), source, given)
+    config = validate(suite.config, suite.complete(with_task(suite, mapping)), source, given)
     suite.check(config)
     return config
+
+
+def with_task(suite: AnySuite, mapping: Mapping[str, Plain]) -> Mapping[str, Plain]:
+    """Return a YAML's mapping with the keys of the task that it names, where the suite has any: more may go into it."""
+    if "env_id" not in suite.config.model_fields:
+        return mapping
+    from uavaccel.rl.config import with_env_id  # loads Gymnasium
+
+    return with_env_id(mapping)
 
 
 def find_suite(name: object, source: str) -> AnySuite:

@@ -33,6 +33,7 @@ from uavaccel.suites.registry import (
     merged,
     read_mapping,
     suite_of,
+    with_task,
 )
 from uavaccel.suites.runner import cases_of, check_jobs, run_suite, start_run
 from uavaccel.suites.suite import AnySuite, Case, OnGame
@@ -84,12 +85,9 @@ def reading(request: RunRequest) -> Iterator[tuple[AnySuite, Any]]:
             command = named if named in ("train", "evaluate") else "run"
             raise UsageError(f"{source}: is of {suite.name}, not of {request.suite}; take `uavaccel {command}`")
         options = {key: value for key, value in request.options.items() if value is not None}
-        if "env_id" in suite.config.model_fields:
-            from uavaccel.rl.config import with_env_id  # loads Gymnasium
-
-            env_id, mapping = mapping.get("env_id"), with_env_id(mapping)  # further keys may go into its task
-            if env_id is not None and env_id != mapping["env_id"]:
-                raise UserError(f"{source}: env_id = {env_id!r} beside a task of {mapping['env_id']}: leave one out")
+        env_id, mapping = mapping.get("env_id"), dict(with_task(suite, mapping))
+        if env_id is not None and env_id != mapping["env_id"]:
+            raise UserError(f"{source}: env_id = {env_id!r} beside a task of {mapping['env_id']}: leave one out")
         if experiment is not None and is_task(experiment):
             from uavaccel.suites.train import first_settings
 
