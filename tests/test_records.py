@@ -353,7 +353,9 @@ def test_a_run_has_one_process_that_flies_it(
     resume(run)
     monkeypatch.chdir(tmp_path)
     RunDirectory.create("run", Flight(), MANIFEST, resume=True)  # by whatever name
-    command = [sys.executable, "-c", program, str(run.path)]
+    moved = run.path.rename("moved")
+    RunDirectory.create(moved, Flight(), MANIFEST, resume=True)
+    command = [sys.executable, "-c", program, str(moved)]
     refused = subprocess.run(command, input="", capture_output=True, text=True, check=False)
     assert "UserError" in refused.stderr
     assert "another process is flying this run" in refused.stderr
@@ -406,7 +408,8 @@ def test_the_manifest_names_the_gpu(monkeypatch: pytest.MonkeyPatch) -> None:
     found = SimpleNamespace(name="H100", uuid="e1b2")
     monkeypatch.setattr("torch.cuda.is_available", lambda: True)
     monkeypatch.setattr("torch.cuda.get_device_properties", lambda device: found)
-    versions = {"cuda": th.version.cuda, "cudnn": th.backends.cudnn.version()}
+    monkeypatch.setattr("torch.backends.cudnn.version", lambda: 91900)
+    versions = {"cuda": th.version.cuda, "cudnn": 91900}
     named = {"gpu": {"name": "H100", "uuid": "e1b2", **versions}}
     assert gpu("cuda") == named
     monkeypatch.setattr("torch.cuda.device_count", lambda: 2)

@@ -293,11 +293,15 @@ class FolderLock:
                 raise
 
 
-_HELD: weakref.WeakValueDictionary[Path, FolderLock] = weakref.WeakValueDictionary()
+_HELD: weakref.WeakValueDictionary[tuple[int, int], FolderLock] = weakref.WeakValueDictionary()
 
 
 def lock_of(folder: Path) -> FolderLock:
-    """Return this process's lock of a folder, which is shared within it. Raises UserError as `FolderLock` does."""
-    lock = _HELD.get(folder.resolve()) or FolderLock(folder)
-    _HELD[folder.resolve()] = lock
+    """Return this process's lock of a folder, which is shared within it, whatever the folder's name is by now.
+
+    Raises UserError as `FolderLock` does.
+    """
+    found = folder.stat()
+    place = found.st_dev, found.st_ino
+    lock = _HELD[place] = _HELD.get(place) or FolderLock(folder)
     return lock
