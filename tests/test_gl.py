@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import shutil
 import subprocess
@@ -11,6 +12,7 @@ from ctypes.util import find_library
 from functools import partial
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
 import numpy as np
 import pytest
@@ -38,6 +40,15 @@ def test_contexts_open_and_close_many_times(lane_scene: Scene) -> None:
             assert np.array_equal(kept.colour(data), wanted)
     with pytest.raises(ValueError, match="closed"):
         kept.colour(data)
+
+
+@needs_opengl
+def test_a_camera_that_is_dropped_is_freed(lane_scene: Scene) -> None:
+    model, data = lane_scene
+    with patch.object(gl, "release", wraps=gl.release) as release:
+        assert Camera(model, 32, 18).colour(data).any()
+        gc.collect()
+    release.assert_called_once()
 
 
 LOOK = """
