@@ -1,6 +1,6 @@
 """Whether a task's functions say of many games at once what they say of each: mistakes that no error tells of.
 
-Such are `now.collision is None`, which is never true of arrays, and the sum of two truth values, which there is not 2.
+For example, `now.collision is None` is never true of arrays, and two truth values add up to 1 there, not to 2.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ def _moments(random: np.random.Generator, courses: Sequence[Course], course: Cou
 
 
 def _compare(task: Task, name: str, alone: Sequence[tuple[Any, ...]], together: Any) -> list[Any] | None:
-    """Return what a function says of each game; None where it fails. Raises UserError where all differ from each."""
+    """Return what a function says of each game; None where it fails. Raises UserError where arrays say otherwise."""
     function = getattr(task, name)
     try:
         with np.errstate(all="ignore"):
@@ -78,7 +78,8 @@ def _compare(task: Task, name: str, alone: Sequence[tuple[Any, ...]], together: 
             differing = [pair for pair in zip(said, of_all, strict=True) if not _same(*pair)]
     except Exception:
         return None
-    for one, other in differing[:1]:
+    if differing:
+        one, other = differing[0]
         what = " ".join(f"says {one!r} of a game, and {other!r} of the same in arrays".split())
         hint = "write now.free for `is None`, and 1 * a + b for the sum of two truth values"
         raise Functions(task).wrong(name, f"{what}: {hint}; or use simulator = mujoco")
@@ -105,4 +106,5 @@ def _same(one: Any, other: Any) -> bool:
         return len(one) == len(other) and all(map(_same, one, other))
     if isinstance(one, Real) and isinstance(other, Real):
         return not (math.isfinite(one) and math.isfinite(other)) or math.isclose(one, other, rel_tol=1e-6, abs_tol=1e-9)
+    # complex numbers are a mistake of another kind
     return isinstance(one, complex) or (type(one) is type(other) and bool(one == other))

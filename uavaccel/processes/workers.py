@@ -58,6 +58,9 @@ def on_this_machine(jobs: int, batch: int, calls: Iterable[Delayed]) -> Iterator
 
 
 def begin_worker(parent: int, path: Sequence[str], state: object) -> None:
-    """End with the parent from the start, before imports that take seconds, and find the modules that it finds."""
+    """End with the parent from the start, before imports that take seconds, and find the modules that it finds.
+
+    A worker of another `state` does not serve again.
+    """
     work_for_parent(parent)
     sys.path[:] = path

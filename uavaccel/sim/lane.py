@@ -39,7 +39,8 @@ Scenery = Literal["plain", "forest"]
 LENGTH_M = 150.0  # the game is won at this distance north of the start (paper, section III-C1)
 WIDTH_M = 10.0  # between the inner faces of the walls
 HULL_RADIUS_M = 0.3418  # of quadrotor.xml's hull
-# Of mass_ratio / thrust_ratio: full throttle lifts 1.7 times the weight, the autopilot's least of .3 half of it.
+# Of mass_ratio / thrust_ratio: full throttle lifts 1.7 times the weight, the autopilot's least of .3 half of it. They
+# are quadrotor.HOVERS for AirSim's 1 kg, without numba.
 LIGHTEST, HEAVIEST = 0.55, 1.5
 MAX_OBSTACLES = 64  # as many as lane.xml provides
 
